@@ -1,0 +1,299 @@
+"""The command line: reads, calls, prints; no mathematics. Whatever is slow to import is imported by the command that uses it."""
+
+import json
+import os
+import shutil
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from relax.errors import InputError, RelaxError
+
+if TYPE_CHECKING:
+    from relax.design.solve import Design
+    from relax.files import StoredResult
+    from relax.membrane.scene import Scene
+
+MOST_ROWS = 24  # of a table on the screen
+DONE, NOT_CONVERGED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+
+EXAMPLE = """\b
+Example, from the project's folder:
+    relax solve data/tent.toml        writes tent-result/
+    relax check tent-result           judges it again from its files alone
+"""
+EXIT_STATUS = """\b
+Exit status: 0 done; 1 ran but did not converge (the result is written and says so);
+2 bad input (one sentence, nothing written); 130 interrupted (the best so far is written).
+"""
+
+
+def main() -> None:
+    """Run the command line and leave with its exit status."""
+    sys.exit(run(sys.argv[1:]))
+
+
+def run(arguments: Sequence[str]) -> int:
+    """Exit status of a command line; errors are one sentence on stderr."""
+    try:
+        status = app.main(args=list(arguments), prog_name="relax", standalone_mode=False)
+        sys.stdout.flush()
+    except click.exceptions.NoArgsIsHelpError as error:
+        click.echo(error.format_message())
+        return DONE
+    except (click.ClickException, click.Abort, RelaxError) as error:
+        sentence, status = _refusal(error)
+        click.echo(f"relax: {' '.join(sentence.split())}", err=True)
+    except BrokenPipeError:
+        # the reader of our output has gone; without this Python complains once more when it closes stdout
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        status = NOT_CONVERGED
+    return status if isinstance(status, int) else DONE
+
+
+def _refusal(error: Exception) -> tuple[str, int]:
+    """One sentence on an error, and the exit status it means."""
+    if isinstance(error, click.Abort):
+        return "interrupted: nothing was written", INTERRUPTED
+    if isinstance(error, click.UsageError):
+        command = error.ctx.command_path if error.ctx else "relax"
+        return f"{error.format_message().rstrip('.')}; {command} --help shows what is possible", BAD_INPUT
+    if isinstance(error, click.ClickException):
+        return error.format_message(), BAD_INPUT
+    return str(error), BAD_INPUT if isinstance(error, InputError) else NOT_CONVERGED
+
+
+@click.group(
+    epilog=EXAMPLE + "\n" + EXIT_STATUS,
+    no_args_is_help=True,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+)
+@click.version_option(package_name="relax-tensile", message="relax %(version)s")
+def app() -> None:
+    """Inverse form-finding of tensile structures: from the shape you want to the few masts that hold it."""
+
+
+def _output(default: str) -> Callable[[Any], Any]:
+    return click.option(
+        "-o", "--output", metavar="DIR", type=click.Path(path_type=Path), help=f"Result folder. Default: {default}."
+    )
+
+
+_json = click.option("--json", "as_json", is_flag=True, help="Print the content of result.json instead of a summary.")
+_quiet = click.option("--quiet", is_flag=True, help="No progress and no summary; warnings and errors stay.")
+
+
+@app.command(epilog="\b\nExample: relax solve data/tent.toml --set penalty.weight=0.02 -o tent-light")
+@click.argument("scene", metavar="SCENE.toml", type=click.Path(path_type=Path))
+@_output("<scene name>-result in the current folder; ours in it is replaced, other files are kept")
+@click.option("--method", metavar="M", help='Solver: "sequential".')
+@click.option("--backend", metavar="B", help='Convex step: "auto", "clarabel" or "cvxpy" (readable, slow).')
+@click.option("--penalty", metavar="P", help='"power" (the paper\'s) or "group-lasso".')
+@click.option("--weight", metavar="K", type=float, help="Weight of the penalty: larger means fewer supports.")
+@click.option("--exponent", metavar="A", type=float, help="Exponent of the power penalty, above 0 and at most 1.")
+@click.option("--start", metavar="DIR", help='A result folder to start from, or "auto", "target", "heavy".')
+@click.option("--set", "assignments", metavar="SECTION.KEY=VALUE", multiple=True, help="Any key of the scene, as a TOML value.")
+@_json
+@_quiet
+def solve(scene: Path, output: Path | None, **options: Any) -> int:
+    """Find the few supports that hold the wanted shape.
+
+    The membrane in equilibrium that comes closest to the shape in SCENE.toml, and the masts and tie-downs under it.
+    """
+    from relax.design.problem import Problem  # noqa: PLC0415
+    from relax.design.solve import solve as find_design  # noqa: PLC0415
+    from relax.files import check_output, load_scene  # noqa: PLC0415
+
+    folder = output or Path(f"{scene.stem}-result")
+    check_output(folder)
+    began = time.perf_counter()
+    loaded = load_scene(scene, _overrides(scene, options))
+    start = _start(scene, loaded)
+    read_seconds = time.perf_counter() - began
+    with _progress(quiet=options["quiet"]) as callback:
+        design = find_design(Problem(loaded), start=start, callback=callback)
+    _finish(design, folder, read_seconds, options)
+    return INTERRUPTED if design.interrupted else DONE if design.certificate.converged else NOT_CONVERGED
+
+
+def _overrides(scene: Path, options: Mapping[str, Any]) -> list[str]:
+    """Short options as the `--set` that they stand for; `--set` itself comes last and wins."""
+    start = options["start"]
+    if start is not None and start not in ("auto", "target", "heavy"):
+        # what is typed counts from here, what a scene says from its own folder
+        start = os.path.relpath(start, scene.parent)
+    given = {
+        **{"solver.method": options["method"], "solver.backend": options["backend"], "solver.start": start},
+        **{"penalty.name": options["penalty"], "penalty.weight": options["weight"], "penalty.exponent": options["exponent"]},
+    }
+    # JSON's way of writing text and numbers is TOML's too, but for nan and inf
+    short = [
+        f"{key}={json.dumps(value) if isinstance(value, str) else value}" for key, value in given.items() if value is not None
+    ]
+    return [*short, *options["assignments"]]
+
+
+def _start(path: Path, scene: "Scene") -> Any:
+    """Positions and forces of the result that the scene starts from, if it names one."""
+    from relax.files import load_result  # noqa: PLC0415
+    from relax.files.scenes import start_folder  # noqa: PLC0415
+
+    folder = start_folder(path, scene)
+    if folder is None:
+        return None
+    stored = load_result(folder)
+    if stored.scene.mesh.vertices != scene.mesh.vertices:
+        raise InputError(
+            f"{path}: solver.start: {folder} has {stored.scene.mesh.vertices} vertices, this scene {scene.mesh.vertices}; "
+            "start from a result on the same mesh"
+        )
+    return stored.positions, stored.forces
+
+
+@app.command(epilog="\b\nExample: relax form tent-result")
+@click.argument("result", metavar="RESULT_DIR", type=click.Path(path_type=Path))
+@_output("<name>-form-result beside RESULT_DIR, <name> without its -result")
+@click.option(
+    "--method",
+    type=click.Choice(["newton", "dynamic-relaxation", "force-density"]),
+    default="newton",
+    help="How to find the shape; in this version newton alone.",
+)
+@_json
+@_quiet
+def form(result: Path, output: Path | None, method: str, **options: Any) -> int:
+    """Find the shape under the forces of a result.
+
+    Forward form-finding, from the flat start under the support forces that RESULT_DIR holds.
+    """
+    from relax.design.optimality import EQUILIBRIUM  # noqa: PLC0415
+    from relax.design.problem import Problem  # noqa: PLC0415
+    from relax.design.solve import form as find_shape  # noqa: PLC0415
+    from relax.files import check_output, load_result  # noqa: PLC0415
+
+    if method != "newton":
+        raise InputError(f"--method {method}: this method is not in this version yet; leave the option out (default newton)")
+    place = result.absolute()
+    folder = output or place.parent / f"{place.name.removesuffix('-result')}-form-result"
+    check_output(folder)
+    began = time.perf_counter()
+    stored = load_result(result)
+    read_seconds = time.perf_counter() - began
+    with _progress(quiet=options["quiet"]) as callback:
+        design = find_shape(Problem(stored.scene), stored.forces, callback=callback)
+    _finish(design, folder, read_seconds, options)
+    # a shape is asked for, not the best one: that it rests and stands is enough
+    return DONE if design.certificate.equilibrium <= EQUILIBRIUM and design.certificate.stable else NOT_CONVERGED
+
+
+@app.command(epilog="\b\nExample: relax check tent-result")
+@click.argument("result", metavar="RESULT_DIR", type=click.Path(path_type=Path))
+@click.option("--json", "as_json", is_flag=True, help="Print result.json with the recomputed figures, `agrees` and `differing`.")
+@_quiet
+def check(result: Path, *, as_json: bool, quiet: bool) -> int:
+    """Judge a result again, from its folder alone.
+
+    Exit status 0 if every figure of result.json agrees and the result converged, else 1.
+    """
+    from relax.design.optimality import judge  # noqa: PLC0415
+    from relax.design.problem import Problem  # noqa: PLC0415
+    from relax.files import load_result  # noqa: PLC0415
+    from relax.files.stored import differing  # noqa: PLC0415
+
+    stored = load_result(result)
+    refit = stored.scene.settings["rounding"]["refit"]
+    certificate = judge(Problem(stored.scene), stored.positions, stored.forces, refit=refit)
+    wrong = differing(stored.figures, certificate.figures())
+    if as_json:
+        judged = {**stored.figures, **certificate.figures(), "agrees": not wrong, "differing": wrong}
+        click.echo(json.dumps(judged, indent=2))
+    elif not quiet:
+        _print_check(stored, certificate.figures(), wrong)
+    _warn(certificate.warnings)
+    if wrong:
+        click.echo(f"relax: {result}: result.json does not hold for {', '.join(wrong)}", err=True)
+    return DONE if certificate.converged and not wrong else NOT_CONVERGED
+
+
+@contextmanager
+def _progress(*, quiet: bool) -> Iterator[Callable[[Mapping[str, Any]], None] | None]:
+    """A callback that says on stderr how a run goes: one line kept up to date on a terminal, else one line a step."""
+    if quiet:
+        yield None
+        return
+    live = sys.stderr.isatty()
+
+    def say(record: Mapping[str, Any]) -> None:
+        residual = "-" if record["stationarity"] is None else f"{record['stationarity']:.1e}"
+        line = (
+            f"step {record['step']}: objective {record['objective']:.6g}, supports {record['supports']}, "
+            f"stationarity {residual}, {record['seconds']:.1f} s, {record['note']}"
+        )
+        if live:
+            line = f"\r{line[: shutil.get_terminal_size().columns - 1]}\x1b[K"
+        click.echo(line, err=True, nl=not live)
+
+    try:
+        yield say
+    finally:
+        if live:
+            click.echo("\r\x1b[K", err=True, nl=False)
+
+
+def _finish(design: "Design", folder: Path, read_seconds: float, options: Mapping[str, Any]) -> None:
+    """Write the result, then say what it is."""
+    from relax.files import write_result  # noqa: PLC0415
+    from relax.plots.picture import draw_picture  # noqa: PLC0415
+
+    write_result(folder, design, read_seconds, {"picture.png": lambda path: draw_picture(design, path)})
+    if options["as_json"]:
+        click.echo((folder / "result.json").read_text(encoding="utf-8"), nl=False)
+    elif not options["quiet"]:
+        _print_design(design, folder)
+    _warn(dict.fromkeys([*design.problem.scene.warnings, *design.certificate.warnings]))
+
+
+def _warn(sentences: Any) -> None:
+    for sentence in sentences:
+        click.echo(f"relax: warning: {sentence}", err=True)
+
+
+def _print_design(design: "Design", folder: Path) -> None:
+    said = design.certificate
+    count = "1 support" if said.supports == 1 else f"{said.supports} supports"
+    click.echo(f"{design.problem.scene.title}: {design.stop} ({design.iterations} steps, {design.seconds:.2f} s)")
+    click.echo(f"{count}, rms distance {said.rms_distance:.4g} m, largest tension {said.tension_max:.4g} N")
+    click.echo(f"objective {said.objective:.8g} = distance {said.distance:.8g} + penalty {said.penalty:.8g}")
+    if design.supports:
+        place = f"{'vertex':>8}  {'kind':8}  {'x, m':>9} {'y, m':>9} {'z, m':>9}"
+        click.echo(f"{place}  {'force, N':>10}  {'length, m':>9}  {'lean, deg':>9}")
+    for mast in design.supports[:MOST_ROWS]:
+        x, y, z = mast.head
+        length = "-" if mast.length is None else f"{mast.length:.4g}"
+        place = f"{mast.vertex:8}  {mast.kind:8}  {x:9.4g} {y:9.4g} {z:9.4g}"
+        click.echo(f"{place}  {mast.magnitude:10.4g}  {length:>9}  {mast.lean:9.1f}")
+    if len(design.supports) > MOST_ROWS:
+        click.echo(f"     ... and {len(design.supports) - MOST_ROWS} more in {folder / 'supports.csv'}")
+    click.echo(f"written to {folder}{os.sep}")
+
+
+def _print_check(stored: "StoredResult", judged: Mapping[str, Any], wrong: Sequence[str]) -> None:
+    click.echo(f"{'figure':14}{'result.json':>24}{'recomputed':>24}")
+    for name, value in judged.items():
+        mark = "  differs" if name in wrong else ""
+        click.echo(f"{name:14}{_cell(stored.figures.get(name)):>24}{_cell(value):>24}{mark}")
+    verdict = "converged" if judged["converged"] else "not converged"
+    click.echo(f"{stored.scene.title}: {'every figure agrees' if not wrong else f'{len(wrong)} differ'}; {verdict}")
+
+
+def _cell(value: Any) -> str:
+    return f"{value:.12g}" if isinstance(value, float) else str(value).lower() if isinstance(value, bool) else str(value)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,51 @@
+"""Who solves a convex step: named functions Subproblem -> Solution, every answer certified here by the step's own data."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from relax.arrays import Floats
+from relax.convex.cone import solve_with_clarabel
+from relax.convex.reference import solve_with_cvxpy
+from relax.convex.subproblem import Solution, Subproblem, certify
+from relax.convex.working_set import GAP, solve_on_working_set
+from relax.errors import BackendError
+
+Backend = Callable[[Subproblem, Floats], Solution]
+MANY = 120  # groups beyond which the full cone program is faster than the working set (DESIGN: some 100)
+WRONG = 1e-4  # relative gap above which a point is no solution
+
+
+def clarabel(step: Subproblem, start: Floats) -> Solution:
+    """The full cone program, its zeros made exact on the groups that its dual certificate lets stand."""
+    return _polished(step, solve_with_clarabel(step), "clarabel", start)
+
+
+def cvxpy(step: Subproblem, start: Floats) -> Solution:
+    """The readable model, its zeros made exact in the same way."""
+    return _polished(step, solve_with_cvxpy(step), "cvxpy", start)
+
+
+def auto(step: Subproblem, start: Floats) -> Solution:
+    """The working set; where too many candidates matter for it, the full cone program."""
+    solution = solve_on_working_set(step, start, MANY)
+    return solution if solution.gap <= 10 * GAP else clarabel(step, start)
+
+
+def _polished(step: Subproblem, raw: Floats, name: str, start: Floats) -> Solution:
+    del start  # an interior point takes no warm start
+    rough = certify(step, raw, name)
+    if not rough.gap <= WRONG:
+        raise BackendError(f"{name} left a duality gap of {rough.gap:.1e} on a convex step, which is no solution")
+    # by strong convexity the dual is known to about the root of the gap
+    margin = max(1e-6, np.sqrt(max(rough.gap, 0.0)))
+    stands = np.linalg.norm(rough.dual, axis=1) >= (1 - margin) * step.weights
+    exact = np.where(stands[:, None], raw, 0.0)
+    if stands.sum() > MANY:
+        return certify(step, exact, name)
+    fine = solve_on_working_set(step, exact, MANY)
+    best = fine if fine.gap <= rough.gap else certify(step, exact, name)
+    return Solution(best.amplitudes, best.displacement, best.dual, best.value, best.bound, name)
+
+
+BACKENDS: dict[str, Backend] = {"auto": auto, "clarabel": clarabel, "cvxpy": cvxpy}

@@ -1,0 +1,88 @@
+"""The convex step on a working set: only candidates that matter get their columns of K^-1 (MATH, "One convex step").
+
+Candidates whose dual leaves the ball enter, the duality gap of the whole step says when to stop.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from relax.arrays import Floats, Ints
+from relax.convex.restricted import solve_restricted
+from relax.convex.subproblem import Solution, Subproblem, certify
+from relax.iterate import Stop, iterate
+
+GAP = 1e-10
+FIRST = 8  # candidates that enter at least, a round; more enter as the set grows
+LIMIT = 60
+
+
+@dataclass(frozen=True)
+class _State:
+    solution: Solution
+    members: Ints
+    columns: Floats  # (3n, 3k): K^-1 B of the members
+    quadratic: Floats
+    grown: bool = True
+
+
+@dataclass(frozen=True)
+class _WorkingSet:
+    subproblem: Subproblem
+    largest: int
+
+    def begin(self, amplitudes: Floats) -> _State:
+        size = len(self.subproblem.offset)
+        empty = _State(certify(self.subproblem, 0 * amplitudes), np.zeros(0, dtype=np.int64), np.zeros((size, 0)), np.zeros((0, 0)))
+        warm = np.flatnonzero(amplitudes.any(axis=1))
+        return self._solved(self._enlarged(empty, warm), amplitudes) if warm.size else empty
+
+    def _enlarged(self, state: _State, entering: Ints) -> _State:
+        rows = self.subproblem.rows[entering].ravel()
+        right = np.zeros((len(self.subproblem.offset), rows.size))
+        right[rows, np.arange(rows.size)] = 1.0
+        columns = np.hstack([state.columns, self.subproblem.factor.solve(right)])
+        quadratic = columns.T @ (self.subproblem.metric @ columns)
+        return replace(state, members=np.concatenate([state.members, entering]), columns=columns, quadratic=quadratic)
+
+    def _solved(self, state: _State, amplitudes: Floats) -> _State:
+        step = self.subproblem
+        linear = state.columns.T @ (step.metric @ step.unsupported)
+        inner = solve_restricted(state.quadratic, linear, step.weights[state.members], amplitudes[state.members])
+        whole = np.zeros_like(amplitudes)
+        whole[state.members] = inner
+        return replace(state, solution=certify(step, whole, "working set"))
+
+    def step(self, state: _State) -> _State:
+        size = np.linalg.norm(state.solution.dual, axis=1) / self.subproblem.weights
+        size[state.members] = 0.0
+        worst = np.argsort(-size)[: max(FIRST, len(state.members) // 2)]
+        entering = worst[size[worst] > 1.0]
+        if not entering.size:
+            return replace(state, grown=False)
+        return self._solved(self._enlarged(state, entering), state.solution.amplitudes)
+
+    def done(self, state: _State) -> Stop | None:
+        if state.solution.gap <= GAP:
+            return Stop.CONVERGED
+        if not state.grown:
+            return Stop.STALLED
+        return Stop.LIMIT if len(state.members) > self.largest else None
+
+    def record(self, state: _State) -> dict[str, float]:
+        return {"gap": state.solution.gap, "members": len(state.members)}
+
+
+def solve_on_working_set(step: Subproblem, start: Floats, largest: int) -> Solution:
+    """The best point of the step found with at most some `largest` candidates looked at; its gap says how good it is.
+
+    Parameters
+    ----------
+    step : Subproblem
+    start : (m, 3) newtons
+        Groups that carry a force here are in the first working set.
+    largest : int
+        When more candidates than this matter the round ends and the full cone program should take over.
+    """
+    method = _WorkingSet(step, largest)
+    return iterate(method, method.begin(start), LIMIT).state.solution

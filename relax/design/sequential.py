@@ -1,0 +1,117 @@
+"""Sequential convex steps: linearise the spring forces, solve the cone program, restore equilibrium, accept if it pays.
+
+Reweighting and linearisation share each step. A step counts only if the objective falls at TRUE equilibrium under the same
+weights; else the next one is damped. The loop ends when the same supports stand twice: what is left is Newton's (refit).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from relax.arrays import Floats
+from relax.convex.backends import Backend
+from relax.design.problem import Problem
+from relax.design.refit import Shape, rest
+from relax.factor import Factor
+from relax.iterate import Stop
+from relax.sparsity.supports import sizes
+
+Weights = Callable[[Floats], Floats]  # amplitudes (m, 3) -> weights (m,)
+FIRST_DAMPING = 0.3  # of the metric: one refused step is halved or so
+LARGEST_DAMPING = 1e9
+ENOUGH = 1e-10  # relative decrease below which the linearised model has no more to give
+
+
+@dataclass(frozen=True)
+class State:
+    """A shape on the way, with what the last step did."""
+
+    shape: Shape
+    damping: float = 0.0
+    repeats: int = 0  # steps in a row after which the same supports stood
+    note: str = ""
+    exhausted: bool = False
+
+
+@dataclass(frozen=True)
+class SequentialConvex:
+    """One sequence of convex steps under one rule for the weights.
+
+    Parameters
+    ----------
+    problem : Problem
+    weights : function
+        Weights (m,) at amplitudes (m, 3): the penalty's reweighting, or constants.
+    backend : Backend
+        Solves each step.
+    """
+
+    problem: Problem
+    weights: Weights
+    backend: Backend
+
+    def step(self, state: State) -> State:
+        """One convex step from `state`, kept or refused."""
+        shape, problem = state.shape, self.problem
+        factor = Factor(problem.membrane.stiffness(shape.positions))
+        shape = replace(shape, factor=factor, factorizations=shape.factorizations + 1)
+        weights = self.weights(shape.amplitudes)
+        before = problem.distance(shape.positions) + float(weights @ sizes(shape.amplitudes))
+        subproblem = problem.linearised(shape.positions, factor, weights)
+        for damping in _dampings(state.damping):
+            solution = self.backend(subproblem.damped(damping), shape.amplitudes)
+            promised = before - self._model(subproblem, solution.displacement, solution.amplitudes)
+            if promised <= ENOUGH * before:
+                return replace(state, shape=shape, exhausted=True, note=f"{solution.ran}, nothing more to gain")
+            moved = self._moved(shape, solution.displacement, solution.amplitudes)
+            if moved is None:
+                continue
+            after = problem.distance(moved.positions) + float(weights @ sizes(moved.amplitudes))
+            if after < before:
+                same = np.array_equal(moved.amplitudes.any(axis=1), shape.amplitudes.any(axis=1))
+                good = before - after > 0.5 * promised
+                return State(
+                    moved,
+                    damping=_eased(damping) if good else damping,
+                    repeats=state.repeats + 1 if same else 0,
+                    note=solution.ran + (f", damping {damping:.2g}" if damping else ""),
+                )
+        return replace(state, shape=shape, exhausted=True, note="every step was refused")
+
+    def _model(self, subproblem, displacement: Floats, amplitudes: Floats) -> float:  # type: ignore[no-untyped-def]
+        """The convex model's value, without damping."""
+        moved = subproblem.offset + displacement
+        return float(moved @ (subproblem.metric @ moved)) + float(subproblem.weights @ sizes(amplitudes))
+
+    def _moved(self, shape: Shape, displacement: Floats, amplitudes: Floats) -> Shape | None:
+        guess = shape.positions.copy()
+        guess[self.problem.membrane.free] += displacement.reshape(-1, 3)
+        return rest(self.problem, replace(shape, positions=guess, amplitudes=amplitudes))
+
+    def done(self, state: State) -> Stop | None:
+        """Settled when the same supports stood after two steps in a row."""
+        return Stop.CONVERGED if state.repeats >= 1 or state.exhausted else None
+
+    def record(self, state: State) -> dict[str, object]:
+        """Figures of the state for the trace."""
+        shape = state.shape
+        return {
+            "objective": self.problem.objective(shape.positions, shape.amplitudes),
+            "supports": int(shape.amplitudes.any(axis=1).sum()),
+            "note": state.note,
+            "shape": shape,
+        }
+
+
+def _dampings(first: float) -> list[float]:
+    """The damping to try first, then ever more until a step is too short to matter."""
+    series = [first]
+    while series[-1] < LARGEST_DAMPING:
+        series.append(max(FIRST_DAMPING, 4 * series[-1]))
+    return series
+
+
+def _eased(damping: float) -> float:
+    """Less damping after a step that kept its promise."""
+    return damping / 8 if damping > FIRST_DAMPING else 0.0

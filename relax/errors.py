@@ -1,0 +1,17 @@
+"""The errors of relax: each message is one sentence that says what was found, where, what was expected and what to do."""
+
+
+class RelaxError(Exception):
+    """Anything that relax refuses or cannot do; the message is meant for the person who asked."""
+
+
+class InputError(RelaxError, ValueError):
+    """A scene, a result or an argument that cannot be used."""
+
+
+class EquilibriumError(RelaxError, ArithmeticError):
+    """No equilibrium was found, or the one that was found does not stand."""
+
+
+class BackendError(RelaxError, RuntimeError):
+    """A back-end cannot take a convex step, or did not solve it."""

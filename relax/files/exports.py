@@ -1,0 +1,38 @@
+"""The shape found, for other programs: OBJ and VTU."""
+
+import contextlib
+import io
+from pathlib import Path
+
+import numpy as np
+
+from relax.arrays import Floats, Ints
+from relax.membrane.scene import Scene
+
+
+def write_obj(path: Path, positions: Floats, faces: Ints) -> None:
+    """Write vertices with 17 digits, from which the same numbers are read back, and faces counted from 1."""
+    lines = ["# membrane in equilibrium, written by relax"]
+    lines += ["v " + " ".join(f"{value:.17g}" for value in point) for point in positions.tolist()]
+    lines += ["f " + " ".join(str(corner + 1) for corner in face if corner >= 0) for face in faces.tolist()]
+    path.write_text("\n".join(lines) + "\n", encoding="ascii")
+
+
+def write_vtu(path: Path, scene: Scene, positions: Floats, forces: Floats) -> None:
+    """Write faces and edges; tension is nan on faces, displacement counts from the target, forces are in newtons."""
+    import meshio  # noqa: PLC0415 - reading and solving need it not
+
+    faces = scene.mesh.faces
+    triangle = faces[:, 3] < 0
+    blocks = {"triangle": faces[triangle, :3], "quad": faces[~triangle], "line": scene.mesh.edges}
+    tension = scene.membrane.tension(positions)
+    blocks = {name: cells for name, cells in blocks.items() if len(cells)}
+    mesh = meshio.Mesh(
+        positions.copy(),
+        list(blocks.items()),
+        point_data={"displacement": positions - scene.target, "support_force": forces.copy(), "load": scene.loads.copy()},
+        cell_data={"tension": [tension if name == "line" else np.full(len(cells), np.nan) for name, cells in blocks.items()]},
+    )
+    silence = io.StringIO()
+    with contextlib.redirect_stdout(silence), contextlib.redirect_stderr(silence):
+        meshio.write(path, mesh, file_format="vtu")

@@ -1,0 +1,217 @@
+"""Result folders read back: arrays and settings checked one by one, so that a damaged or edited one gives one sentence."""
+
+import io
+import json
+import os
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from relax.arrays import Floats, lock_arrays
+from relax.errors import InputError
+from relax.files.bytes import read_bytes
+from relax.files.schema import Settings, resolve
+from relax.membrane.mesh import Mesh
+from relax.membrane.scene import Scene
+
+Arrays = dict[str, Any]
+
+SCENE_ARRAYS = (
+    *("target", "clean_target", "start", "rest_length", "spring_constant", "loads", "fixed", "candidates", "metric"),
+    "support_weight",
+)
+# letters stand for lengths that have to agree
+SHAPES: dict[str, tuple[str | int, ...]] = {
+    **{name: ("V", 3) for name in ("positions", "target", "clean_target", "start", "forces", "loads")},
+    **{"faces": ("F", 4), "edges": ("E", 2), "rest_length": ("E",), "spring_constant": ("E",)},
+    **{"fixed": ("V",), "candidates": ("V",), "metric": ("V", 3, 3), "support_weight": ("V",)},
+}
+KINDS = {"faces": np.int64, "edges": np.int64, "fixed": np.bool_, "candidates": np.bool_}  # the others are floats
+
+
+@dataclass(frozen=True)
+class StoredResult:
+    """A result as its folder holds it.
+
+    Parameters
+    ----------
+    scene : Scene
+        Rebuilt from result.npz and the settings alone.
+    positions : (V, 3) metres
+    forces : (V, 3) newtons
+    figures : content of result.json
+    """
+
+    scene: Scene
+    positions: Floats
+    forces: Floats
+    figures: Mapping[str, Any] = field(repr=False)
+
+    def __post_init__(self) -> None:
+        lock_arrays(self)
+
+
+def load_result(folder: str | os.PathLike[str]) -> StoredResult:
+    """The result in `folder`, from its result.json and result.npz alone.
+
+    Raises
+    ------
+    InputError
+        One sentence that starts with `folder` and names the file and the key that cannot be used.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise InputError(f"{folder}: no such folder: give one that relax solve wrote")
+    if not (folder / "result.json").exists() and not (folder / "result.npz").exists():
+        raise InputError(f"{folder}: this folder holds no result: give one that relax solve wrote")
+    try:
+        name = "result.json"
+        figures, settings = _read_figures(folder / name)
+        name = "result.npz"
+        arrays = _read_arrays(folder / name)
+        _check_mesh(arrays)
+        _check_springs(arrays)
+    except InputError as error:
+        raise InputError(f"{folder / name}: {error}") from None
+    mesh = Mesh(len(arrays["positions"]), arrays["faces"], arrays["edges"])
+    scene = Scene(mesh=mesh, settings=settings, **{name: arrays[name] for name in SCENE_ARRAYS})
+    return StoredResult(scene, arrays["positions"], arrays["forces"], figures)
+
+
+def _read_figures(path: Path) -> tuple[Mapping[str, Any], Settings]:
+    """Content of result.json, and its settings, checked."""
+
+    def refuse(name: str) -> Any:
+        raise InputError(f"it holds {name}, which JSON does not know: write the result again with relax solve")
+
+    try:
+        figures = json.loads(read_bytes(path).decode(), parse_constant=refuse)
+    except (UnicodeDecodeError, json.JSONDecodeError, RecursionError):
+        raise InputError("this is not valid JSON: write the result again with relax solve") from None
+    if not isinstance(figures, dict) or not isinstance(figures.get("settings"), dict):
+        raise InputError("it has no settings: write the result again with relax solve")
+    settings = figures["settings"]
+    try:
+        complete = resolve(_given(settings))
+    except InputError as error:
+        raise InputError(f"settings: {error}") from None
+    if complete["supports"]["ground"] is None:
+        raise InputError("settings: supports.ground is missing: give the height of the ground in metres")
+    if isinstance(settings["penalty"], dict) and settings["penalty"].get("weight_fraction") is not None:
+        complete["penalty"]["weight_fraction"] = settings["penalty"]["weight_fraction"]
+    return figures, complete
+
+
+def _given(settings: Settings) -> Settings:
+    """Settings without what is absent; the weight that was used stands for the fraction that it came from."""
+    given: Settings = {}
+    for section, keys in settings.items():
+        given[section] = {key: value for key, value in keys.items() if value is not None} if isinstance(keys, dict) else keys
+    penalty = given.get("penalty")
+    if isinstance(penalty, dict) and "weight" in penalty:
+        penalty.pop("weight_fraction", None)
+    return given
+
+
+def _read_arrays(path: Path) -> Arrays:
+    """The arrays of result.npz, with the shapes and types that FORMATS gives them."""
+    content = io.BytesIO(read_bytes(path))
+    arrays: Arrays = {}
+    lengths: dict[str, int] = {}
+    try:
+        with np.load(content, allow_pickle=False) as archive:
+            for name in SHAPES:
+                if name not in archive:
+                    raise InputError(f"it has no array {name}: write the result again with relax solve")
+                arrays[name] = archive[name]
+    except InputError:
+        raise
+    except (zipfile.BadZipFile, OSError, ValueError, EOFError, KeyError, MemoryError, NotImplementedError, RuntimeError):
+        raise InputError(
+            "this is no archive of numpy arrays, or it is damaged: write the result again with relax solve"
+        ) from None
+    except Exception:
+        # zlib, struct and tokenize have errors of their own for damaged content
+        raise InputError("it is damaged: write the result again with relax solve") from None
+    for name, shape in SHAPES.items():
+        arrays[name] = _checked(name, arrays[name], shape, lengths)
+    return arrays
+
+
+def _checked(name: str, array: Any, shape: tuple[str | int, ...], lengths: dict[str, int]) -> Any:
+    """`array` in its proper type, if its shape and values allow it."""
+    kind = KINDS.get(name, np.float64)
+    wanted = "(" + ", ".join(str(length) for length in shape) + ("," if len(shape) == 1 else "") + ")"
+    same = array.ndim == len(shape) and all(
+        length == (wish if isinstance(wish, int) else lengths.setdefault(wish, length))
+        for length, wish in zip(array.shape, shape, strict=True)
+    )
+    if not same:
+        known = ", ".join(f"{letter} = {length}" for letter, length in lengths.items())
+        raise InputError(f"{name} has the shape {array.shape}, expected {wanted} with {known or 'V vertices'}")
+    if not np.can_cast(array.dtype, kind, "same_kind"):
+        raise InputError(f"{name} holds {array.dtype}, expected {np.dtype(kind).name}")
+    if array.dtype.kind == "f" and not np.isfinite(array).all():
+        raise InputError(f"{name} is not finite at index {np.argwhere(~np.isfinite(array))[0].tolist()}")
+    return array.astype(kind)
+
+
+def _check_mesh(arrays: Arrays) -> None:
+    vertices, faces, edges = len(arrays["positions"]), arrays["faces"], arrays["edges"]
+    if not len(edges) or not len(faces):
+        raise InputError("it has no edges or no faces")
+    bad = np.argwhere((edges < 0) | (edges >= vertices))
+    if len(bad):
+        raise InputError(f"edges: edge {bad[0][0]} names vertex {edges[tuple(bad[0])]}; there are vertices 0 to {vertices - 1}")
+    if not (edges[:, 0] < edges[:, 1]).all():
+        raise InputError(f"edges: edge {np.argmin(edges[:, 0] < edges[:, 1])} is not in the order a < b")
+    if len(np.unique(edges, axis=0)) != len(edges):
+        raise InputError("edges: an edge is there twice")
+    padding = (faces == -1) & (np.arange(4) == 3)
+    bad = np.argwhere(((faces < 0) & ~padding) | (faces >= vertices))
+    if len(bad):
+        raise InputError(f"faces: face {bad[0][0]} names vertex {faces[tuple(bad[0])]}; there are vertices 0 to {vertices - 1}")
+
+
+def _check_springs(arrays: Arrays) -> None:
+    for name in ("rest_length", "spring_constant"):
+        _refuse_below(name, arrays[name] <= 0, arrays[name], "above 0")
+    _refuse_below("support_weight", arrays["support_weight"] < 0, arrays["support_weight"], "0 or above")
+    if arrays["fixed"].all():
+        raise InputError("fixed: every vertex is fixed, so there is no membrane")
+    both = arrays["fixed"] & arrays["candidates"]
+    if both.any():
+        raise InputError(f"candidates: vertex {np.argmax(both)} is fixed, so no support can act there")
+
+
+def _refuse_below(name: str, bad: Any, values: Floats, wanted: str) -> None:
+    if bad.any():
+        raise InputError(f"{name}: entry {np.argmax(bad)} is {values[np.argmax(bad)]}, expected a number {wanted}")
+
+
+def differing(stored: Mapping[str, Any], judged: Mapping[str, Any]) -> list[str]:
+    """Names of the figures in `judged` that result.json, `stored`, gives otherwise or not at all."""
+    tolerance = stored["settings"]["solver"]["tolerance"]
+    # residuals are noise of the last digits, which another machine rolls anew: they agree well below what they are held to
+    slight = {
+        "equilibrium": 1e-11,
+        "stationarity": 0.1 * tolerance,
+        "off_support": 1e-9,
+        "tension_min": 1e-9 * abs(judged["tension_max"]),
+    }
+    return [name for name, value in judged.items() if not _agree(stored.get(name), value, slight.get(name, 1e-14))]
+
+
+def _agree(one: Any, other: Any, slight: float) -> bool:
+    plain = [value for value in (one, other) if isinstance(value, int | float) and not isinstance(value, bool)]
+    if len(plain) < 2 or not np.isfinite(plain).all():
+        return (
+            one is other
+            or (type(one) is type(other) and one == other)
+            or (one is None and len(plain) == 1 and not np.isfinite(plain[0]))
+        )
+    return bool(abs(one - other) <= slight + 1e-6 * max(abs(one), abs(other)))

@@ -1,0 +1,1 @@
+"""The physics: meshes, springs, scenes and form-finding."""

@@ -1,0 +1,234 @@
+"""A scene: the membrane, the shape that is wanted and where supports may stand, as arrays, and the settings they came from."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from relax.arrays import Floats, Mask, lock_arrays
+from relax.errors import InputError
+from relax.membrane.mesh import (
+    Mesh,
+    boundary_vertices,
+    component_labels,
+    corner_vertices,
+    edge_areas,
+    vertex_areas,
+)
+from relax.membrane.membrane import Membrane
+from relax.membrane.springs import SPRINGS
+
+Settings = Mapping[str, Mapping[str, Any]]
+LEAST_HEIGHT_WEIGHT = 0.01  # supports.weights = "height": a mast of no height still costs this share of the mean
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Everything a run needs, and all that a result keeps of it.
+
+    Parameters
+    ----------
+    mesh : Mesh
+    target, clean_target : (V, 3) metres
+        The wanted positions as used (with noise, if any) and before noise.
+    start : (V, 3) metres
+        Flat shape with the fixed vertices in their places, from which form-finding starts.
+    rest_length, spring_constant : (E,) metres, newtons per metre
+    loads : (V, 3) newtons
+    fixed, candidates : (V,) bool
+        Held vertices, and those where a support may stand.
+    metric : (V, 3, 3)
+        Blocks of E_dist; square metres with area weights, else pure numbers.
+    support_weight : (V,)
+        Factor of each vertex's penalty.
+    settings : the scene file's sections and keys, in full, as resolved
+    """
+
+    mesh: Mesh
+    target: Floats
+    clean_target: Floats
+    start: Floats
+    rest_length: Floats
+    spring_constant: Floats
+    loads: Floats
+    fixed: Mask
+    candidates: Mask
+    metric: Floats
+    support_weight: Floats
+    settings: Settings = field(repr=False)
+
+    def __post_init__(self) -> None:
+        lock_arrays(self)
+
+    @property
+    def title(self) -> str:
+        return str(self.settings["title"])
+
+    @property
+    def ground(self) -> float:
+        """Height of the ground, metres."""
+        return float(self.settings["supports"]["ground"])
+
+    @cached_property
+    def membrane(self) -> Membrane:
+        law = SPRINGS[self.settings["membrane"]["springs"]]
+        return Membrane(self.mesh.edges, self.rest_length, self.spring_constant, law, self.fixed)
+
+    @cached_property
+    def warnings(self) -> tuple[str, ...]:
+        """Sentences on what will surprise: so far, the share of edges that the wanted shape leaves slack."""
+        if self.settings["membrane"]["springs"] == "force-density":
+            return ()
+        vector = self.clean_target[self.mesh.edges[:, 1]] - self.clean_target[self.mesh.edges[:, 0]]
+        slack = float(np.mean(np.linalg.norm(vector, axis=1) < self.rest_length))
+        if slack == 0:
+            return ()
+        return (
+            f"membrane.rest_scale: {slack:.1%} of the edges are slack in the wanted shape, shorter than their rest length; "
+            "a fabric cannot push: lower rest_scale for more prestress",
+        )
+
+
+def build_scene(settings: Settings, mesh: Mesh, target: Floats, rest: Floats | None) -> Scene:
+    """The arrays of a scene from its resolved settings.
+
+    Parameters
+    ----------
+    settings : sections and keys of FORMATS, complete; `supports.ground` and the penalty are filled in by the caller
+    mesh : Mesh
+    target : (V, 3) metres
+        Clean target; noise is added here, last.
+    rest : (V, 3) metres or None
+        Vertices of the rest mesh where `membrane.rest` names a file.
+
+    Raises
+    ------
+    InputError
+        Names section, key and index.
+    """
+    supports, noise = settings["supports"], settings["target"]["noise"]
+    if not np.isfinite(target).all():
+        vertex = int(np.argwhere(~np.isfinite(target))[0][0])
+        raise InputError(f"target: vertex {vertex} is at {target[vertex].tolist()}: every coordinate must be a finite number")
+    plan = target * [1.0, 1.0, 0.0]
+    fixed = _fixed(supports["fixed"], mesh, target)
+    _check_held(mesh, fixed)
+    rest_shape = _rest_shape(settings, mesh, target, rest)
+    rest_length, constant = _springs(settings["membrane"], mesh, rest_shape)
+    area = vertex_areas(plan, mesh)
+    used = target.copy()
+    if noise is not None:
+        free = np.flatnonzero(~fixed)
+        used[free] += np.random.default_rng(noise["seed"]).normal(0.0, noise["sigma"], (len(free), 3))
+    start = rest_shape.copy() if isinstance(rest, np.ndarray) else plan
+    start[fixed] = target[fixed]
+    scene = Scene(
+        mesh=mesh,
+        target=used,
+        clean_target=target,
+        start=start,
+        rest_length=rest_length,
+        spring_constant=constant,
+        loads=area[:, None] * np.asarray(settings["membrane"]["loads"], dtype=float),
+        fixed=fixed,
+        candidates=_candidates(supports, fixed, mesh, target),
+        metric=np.tile(np.eye(3), (mesh.vertices, 1, 1)),
+        support_weight=np.ones(mesh.vertices),
+        settings=settings,
+    )
+    slack = (scene.membrane.tension(target) <= 0).mean()
+    if slack == 1.0:
+        raise InputError(
+            "membrane.rest_scale: every edge is slack in the wanted shape, so no tension can hold it: lower rest_scale "
+            f"(now {settings['membrane']['rest_scale']}) until the rest lengths are shorter than the target's edges"
+        )
+    return scene
+
+
+def _vertex_list(key: str, vertices: list[int], mesh: Mesh) -> Mask:
+    mask = np.zeros(mesh.vertices, dtype=bool)
+    for vertex in vertices:
+        if not 0 <= vertex < mesh.vertices:
+            raise InputError(f"{key}: vertex {vertex} does not exist; the target has vertices 0 to {mesh.vertices - 1}")
+        mask[vertex] = True
+    return mask
+
+
+def _fixed(choice: Any, mesh: Mesh, target: Floats) -> Mask:
+    if choice == "boundary":
+        return boundary_vertices(mesh)
+    if choice == "corners":
+        return corner_vertices(target, mesh)
+    return _vertex_list("supports.fixed", [] if choice == "none" else choice, mesh)
+
+
+def _check_held(mesh: Mesh, fixed: Mask) -> None:
+    if fixed.all():
+        raise InputError("supports.fixed: every vertex is fixed, so no membrane is left to shape: fix fewer, or refine the mesh")
+    labels = component_labels(mesh)
+    held = np.zeros(labels.max() + 1, dtype=bool)
+    held[labels[fixed]] = True
+    if not held.all():
+        vertex = int(np.argmin(held[labels]))
+        raise InputError(
+            f"supports.fixed: no vertex is fixed in the part of the membrane that holds vertex {vertex}, so nothing keeps it "
+            "in place: fix at least one vertex of each connected part"
+        )
+
+
+def _rest_shape(settings: Settings, mesh: Mesh, target: Floats, rest: Floats | None) -> Floats:
+    choice = settings["membrane"]["rest"]
+    if rest is None:
+        return target if choice == "target" else target * [1.0, 1.0, 0.0]
+    if rest.shape != target.shape:
+        raise InputError(
+            f"membrane.rest: {choice} has {len(rest)} vertices, the target {mesh.vertices}; a rest mesh needs the same numbering"
+        )
+    return rest
+
+
+def _springs(membrane: Mapping[str, Any], mesh: Mesh, shape: Floats) -> tuple[Floats, Floats]:
+    """Rest lengths and spring constants (E,); see MATH, "Material"."""
+    a, b = mesh.edges.T
+    measured = np.linalg.norm(shape[b] - shape[a], axis=1)
+    if not measured.all():
+        edge = int(np.argmin(measured))
+        raise InputError(
+            f"membrane.rest: edge {edge} (vertices {a[edge]} and {b[edge]}) has a rest length of zero on the "
+            f"{'plan of the target' if membrane['rest'] == 'plan' else 'rest mesh'}: part the two vertices, or name a rest mesh"
+        )
+    length = membrane["rest_scale"] * measured
+    if membrane["springs"] == "force-density":
+        return length, np.full(len(length), float(membrane["stiffness"]))
+    if membrane["material"] == "cables":
+        return length, membrane["stiffness"] / length
+    area = edge_areas(shape, mesh)
+    if not area.all():
+        edge = int(np.argmin(area))
+        raise InputError(
+            f'membrane.material: the faces beside edge {edge} (vertices {a[edge]} and {b[edge]}) have no area, so "fabric" gives '
+            'it no stiffness: mend the mesh or use "cables"'
+        )
+    return length, membrane["stiffness"] * area / measured**2
+
+
+def _candidates(supports: Mapping[str, Any], fixed: Mask, mesh: Mesh, target: Floats) -> Mask:
+    choice = supports["candidates"]
+    if choice == "free":
+        mask = ~fixed
+    elif isinstance(choice, Mapping):
+        low, high = np.asarray(choice["box"], dtype=float)
+        mask = ~fixed & (target[:, :2] >= low).all(axis=1) & (target[:, :2] <= high).all(axis=1)
+    else:
+        mask = _vertex_list("supports.candidates", choice, mesh)
+        if (mask & fixed).any():
+            raise InputError(
+                f"supports.candidates: vertex {np.argmax(mask & fixed)} is fixed, so no support can act there: "
+                "take it out of candidates or of fixed"
+            )
+    mask &= ~_vertex_list("supports.never", supports["never"], mesh)
+    if not mask.any():
+        raise InputError("supports.candidates: no vertex is left where a support may stand: widen candidates or shorten never")
+    return mask

@@ -1,0 +1,1 @@
+"""Pictures of designs; matplotlib is imported only when one is drawn."""

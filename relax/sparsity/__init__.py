@@ -1,0 +1,1 @@
+"""What "few supports" means: where supports may act, and what each costs."""
