@@ -7,6 +7,7 @@ from scipy.sparse import csc_array
 from scipy.sparse.linalg import SuperLU, splu
 
 from relax.arrays import Floats
+from relax.errors import EquilibriumError
 
 
 class Factor:
@@ -64,6 +65,8 @@ class Factor:
     def solve(self, right: Floats) -> Floats:
         """K^-1 @ right for (m,) or (m, k); any (n, 3) with 3 n = m is taken vertex-major and given back in that shape."""
         if self._engine is None:
-            raise np.linalg.LinAlgError("the stiffness is singular")
+            raise EquilibriumError(
+                "the stiffness is singular (a mechanism, a slack region, or numbers too far apart): raise the prestress"
+            )
         columns = right if right.shape[0] == self.matrix.shape[0] else right.reshape(-1)
         return self._engine.solve(columns).reshape(right.shape)

@@ -20,8 +20,10 @@ class Stop(Enum):
     LIMIT = "the largest number of steps was taken before the tolerance was reached"
     NON_FINITE = "a figure is no longer finite: the scene is too badly scaled or holds a singular part"
     INTERRUPTED = "interrupted: this is the best result so far"
-    SLACK = "no equilibrium was found: a region of the membrane is slack and nothing holds it; raise the prestress (lower rest_scale)"
-    MECHANISM = "no equilibrium was found: part of the membrane can move without stretching (a mechanism); add prestress or fix vertices"
+    SLACK = (
+        "no equilibrium was found: a region of the membrane is slack, nothing holds it; raise the prestress (lower rest_scale)"
+    )
+    MECHANISM = "no equilibrium was found: a part can move without stretching (a mechanism); add prestress or fix vertices"
     LOST_SUPPORT = "no equilibrium was found: the membrane moves away without bound; a part of it lost its support"
     UNSTABLE = "equilibrium was found, but it does not stand: the membrane would leave it at the slightest push"
 

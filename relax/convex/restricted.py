@@ -1,6 +1,6 @@
 """The convex step on few groups, solved to the last digit: Newton on the groups that stand, zeros by their certificate.
 
-    min over s   s^T G s + 2 b^T s + sum_g w_g |s_g|,     G (3k, 3k) positive semidefinite, k small
+min over s   s^T G s + 2 b^T s + sum_g w_g |s_g|,     G (3k, 3k) positive semidefinite, k small
 """
 
 from dataclasses import dataclass, replace

@@ -52,7 +52,7 @@ class Subproblem:
 
     @cached_property
     def unsupported(self) -> Floats:
-        """c = r + K^-1 h: where the linearised membrane lies, relative to the target, without supports (3n,)."""
+        """C = r + K^-1 h: where the linearised membrane lies, relative to the target, without supports (3n,)."""
         self._check()
         return self.offset + self.factor.solve(self.load)
 
@@ -81,7 +81,7 @@ class Subproblem:
         spring = float(self.stiffness.diagonal().mean())
         force = spring * length
         inner = Subproblem(
-            Factor(self.stiffness / spring),
+            Factor(csc_array(self.stiffness / spring)),
             self.metric,
             self.offset / length,
             self.load / force,
@@ -126,7 +126,7 @@ class Solution:
     @property
     def standing(self) -> Mask:
         """Groups that carry a force (m,)."""
-        return self.amplitudes.any(axis=1)
+        return np.any(self.amplitudes != 0, axis=1)
 
 
 def certify(step: Subproblem, amplitudes: Floats, ran: str = "") -> Solution:

@@ -15,6 +15,8 @@ from relax.iterate import Stop, iterate
 GAP = 1e-10
 FIRST = 8  # candidates that enter at least, a round; more enter as the set grows
 LIMIT = 60
+WARM = 60  # groups of a start that enter at once, those with the largest forces, if they are larger than
+NOTHING = 1e-6  # this share of the largest: a planted target carries round-off everywhere
 
 
 @dataclass(frozen=True)
@@ -32,9 +34,12 @@ class _WorkingSet:
     largest: int
 
     def begin(self, amplitudes: Floats) -> _State:
-        size = len(self.subproblem.offset)
-        empty = _State(certify(self.subproblem, 0 * amplitudes), np.zeros(0, dtype=np.int64), np.zeros((size, 0)), np.zeros((0, 0)))
-        warm = np.flatnonzero(amplitudes.any(axis=1))
+        nothing = certify(self.subproblem, 0 * amplitudes)
+        empty = _State(nothing, np.zeros(0, dtype=np.int64), np.zeros((len(self.subproblem.offset), 0)), np.zeros((0, 0)))
+        size = np.linalg.norm(amplitudes, axis=1)
+        # a hint only: what is left out comes back by its dual if it matters
+        largest = np.argsort(-size)[:WARM]
+        warm = np.sort(largest[size[largest] > NOTHING * size.max()])
         return self._solved(self._enlarged(empty, warm), amplitudes) if warm.size else empty
 
     def _enlarged(self, state: _State, entering: Ints) -> _State:

@@ -1,6 +1,6 @@
 """The inverse problem (equation 1 of the paper): a scene, a penalty and its weight, and the terms they define.
 
-    min over x, p   sum_i (x_i - xhat_i)^T M_i (x_i - xhat_i) + k_sparse sum_g c_g phi(|p_g|)     s.t.   f(x) + g + p = 0
+min over x, p   sum_i (x_i - xhat_i)^T M_i (x_i - xhat_i) + k_sparse sum_g c_g phi(|p_g|)     s.t.   f(x) + g + p = 0
 """
 
 from dataclasses import dataclass, replace
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.sparse import bsr_array, csc_array
 
-from relax.arrays import Floats
+from relax.arrays import Floats, Mask
 from relax.convex.subproblem import Subproblem
 from relax.errors import InputError
 from relax.factor import Factor
@@ -66,9 +66,19 @@ class Problem:
         candidates = np.flatnonzero(self.scene.candidates[free])
         return Supports(candidates, self.scene.support_weight[free][candidates], len(free))
 
+    def standing(self, amplitudes: Floats) -> Mask:
+        """Which groups carry a force (m,)."""
+        return np.any(amplitudes != 0, axis=1)
+
+    def all_forces(self, amplitudes: Floats) -> Floats:
+        """Support forces of all vertices (V, 3), zero where none stands."""
+        forces = np.zeros_like(self.scene.target)
+        forces[self.membrane.free] = self.supports.forces(amplitudes)
+        return forces
+
     @cached_property
     def loads(self) -> Floats:
-        """g on the free vertices (n, 3)."""
+        """G on the free vertices (n, 3)."""
         return self.scene.loads[self.membrane.free]
 
     @cached_property
@@ -86,7 +96,7 @@ class Problem:
         return float(np.linalg.norm(np.ptp(self.scene.clean_target, axis=0)))
 
     def offset(self, positions: Floats) -> Floats:
-        """r = x - xhat on the free vertices, (n, 3)."""
+        """R = x - xhat on the free vertices, (n, 3)."""
         free = self.membrane.free
         return positions[free] - self.scene.target[free]
 
@@ -111,8 +121,12 @@ class Problem:
         """Reweighting weights w_g = k_sparse c_g w(|s_g|), (m,)."""
         return self.strength * self.supports.weights * self.penalty.weight(sizes(amplitudes))
 
+    def factor_at(self, positions: Floats) -> Factor:
+        """A factorisation of K at `positions`."""
+        return Factor(self.membrane.stiffness(positions))
+
     def dual(self, positions: Floats, factor: Factor) -> Floats:
-        """lam = 2 K^-1 M (x - xhat) on the free vertices (n, 3): minus the gradient that a support force would feel."""
+        """Lam = 2 K^-1 M (x - xhat) on the free vertices (n, 3): minus the gradient that a support force would feel."""
         return factor.solve(2 * (self.metric @ self.offset(positions).ravel())).reshape(-1, 3)
 
     def linearised(self, positions: Floats, factor: Factor, weights: Floats) -> Subproblem:

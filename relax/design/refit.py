@@ -20,6 +20,10 @@ Progress = Callable[[Record], None]
 AIM = 1e-12  # stationarity at which Newton stops at once
 LIMIT = 60
 HALVINGS = 30
+IDLE = 1e-6  # relative decrease of the value that counts as a gain, if the step was not shorter than this share of Newton's:
+SHORT = 0.1
+PATIENCE = 6  # steps in a row without a gain: the way ends at a shape that would not stand
+REST_LIMIT = 40  # Newton steps to a nearby equilibrium; one that takes more is not near, and a shorter step is cheaper
 
 
 @dataclass(frozen=True)
@@ -31,26 +35,28 @@ class Shape:
     positions : (V, 3) metres
     amplitudes : (m, 3) newtons
         Of all candidates; zero where nothing stands.
-    factor : Factor
-        Of K at or near the positions.
+    factor : Factor or None
+        Of K at or near the positions, where one is at hand.
     factorizations : int
         Spent so far.
     """
 
     positions: Floats
     amplitudes: Floats
-    factor: Factor
+    factor: Factor | None
     factorizations: int
 
 
 @dataclass(frozen=True)
 class _State:
     shape: Shape
+    factor: Factor  # of K at the shape itself: a chord would leave its own error in the gradient
     members: Ints
     value: float
     dual: Floats  # (n, 3)
     gradient: Floats  # (k, 3) on the members
     residual: float
+    idle: int = 0  # steps in a row that gained next to nothing
     stuck: bool = False
 
 
@@ -60,11 +66,12 @@ class _Refit:
     share: float  # 1: E_dist + R, 0: E_dist alone
 
     def state(self, shape: Shape) -> _State:
-        """Value and gradient, with K factorised at the shape itself: a chord would leave its own error in the gradient."""
+        """Value and gradient at a shape."""
         problem = self.problem
-        shape = replace(shape, factor=Factor(problem.membrane.stiffness(shape.positions)), factorizations=shape.factorizations + 1)
+        factor = problem.factor_at(shape.positions)
+        shape = replace(shape, factor=factor, factorizations=shape.factorizations + 1)
         members = np.flatnonzero(shape.amplitudes.any(axis=1))
-        dual = problem.dual(shape.positions, shape.factor)
+        dual = problem.dual(shape.positions, factor)
         standing = shape.amplitudes[members]
         size = sizes(standing)
         slope = self._strength(members) * problem.penalty.slope(size)
@@ -72,7 +79,7 @@ class _Refit:
         costs = problem.group_costs(sizes(shape.amplitudes))[members]
         scale = float((costs / size).max()) if members.size else 1.0
         residual = float(sizes(gradient).max()) / scale if members.size else 0.0
-        return _State(shape, members, self._value(shape.positions, shape.amplitudes), dual, gradient, residual)
+        return _State(shape, factor, members, self._value(shape.positions, shape.amplitudes), dual, gradient, residual)
 
     def _strength(self, members: Ints) -> Floats:
         return self.share * self.problem.strength * self.problem.supports.weights[members]
@@ -95,7 +102,7 @@ class _Refit:
         rows = self.problem.supports.rows[state.members].ravel()
         right = np.zeros((state.dual.size, rows.size))
         right[rows, np.arange(rows.size)] = 1.0
-        return state.shape.factor.solve(right)
+        return state.factor.solve(right)
 
     def _penalty_hessian(self, state: _State) -> Floats:
         """R's Hessian on the members: phi'' u u^T + phi'/t (I - u u^T) a group, (3k, 3k)."""
@@ -112,7 +119,7 @@ class _Refit:
         return whole.reshape(3 * len(s), -1)
 
     def _search(self, state: _State, delta: Floats, columns: Floats) -> _State:
-        """Backtrack at true equilibrium; supports that the step turns round leave where that lowers the value."""
+        """Backtrack at true equilibrium that stands; supports that the step turns round leave where that lowers the value."""
         members, shape = state.members, state.shape
         descent = float(np.vdot(state.gradient, delta))
         s = shape.amplitudes[members]
@@ -120,7 +127,7 @@ class _Refit:
         noise = 1e-13 * abs(state.value)
         length = 1.0
         for _ in range(HALVINGS):
-            for leave in ([True, False] if turned.any() and self.share else [False]):
+            for leave in [True, False] if turned.any() and self.share else [False]:
                 trial = s + length * delta
                 if leave:
                     trial[turned] = 0.0
@@ -128,12 +135,14 @@ class _Refit:
                 if moved is None:
                     continue
                 value = self._value(moved.positions, moved.amplitudes)
-                if value <= state.value + (0.0 if leave else 1e-4 * length * descent):
-                    return self.state(moved)
-                if value <= state.value + noise:
+                falls = value <= state.value + (0.0 if leave else 1e-4 * length * descent)
+                if falls or value <= state.value + noise:
                     near = self.state(moved)
-                    if near.residual < 0.5 * state.residual:
-                        return near
+                    stands = near.factor.positive_definite or not state.factor.positive_definite
+                    if stands and (falls or near.residual < 0.5 * state.residual):
+                        falling = length >= SHORT and state.value - value > IDLE * abs(state.value)
+                        gained = falling or near.residual < 0.5 * state.residual
+                        return replace(near, idle=0 if gained else state.idle + 1)
             length *= 0.5
         return replace(state, stuck=True)
 
@@ -149,9 +158,9 @@ class _Refit:
     def done(self, state: _State) -> Stop | None:
         if not state.members.size or state.residual <= AIM:
             return Stop.CONVERGED
-        return Stop.STALLED if state.stuck else None
+        return Stop.STALLED if state.stuck or state.idle >= PATIENCE else None
 
-    def record(self, state: _State) -> dict[str, float]:
+    def record(self, state: _State) -> dict[str, object]:
         return {
             "objective": self.problem.objective(state.shape.positions, state.shape.amplitudes),
             "residual": state.residual,
@@ -164,7 +173,7 @@ class _Refit:
 def rest(problem: Problem, guess: Shape) -> Shape | None:
     """The equilibrium under the guess's forces, from its positions, by chord steps on its factor first; None if none is found."""
     applied = problem.supports.forces(guess.amplitudes) + problem.loads
-    found = find_equilibrium(problem.membrane, guess.positions, applied, guess.factor)
+    found = find_equilibrium(problem.membrane, guess.positions, applied, guess.factor, REST_LIMIT)
     if not found.found:
         return None
     return Shape(found.positions, guess.amplitudes, found.factor or guess.factor, guess.factorizations + found.factorizations)

@@ -11,7 +11,6 @@ import numpy as np
 from relax.arrays import Mask
 from relax.design.problem import Problem
 from relax.design.refit import Progress, Shape, refit
-from relax.factor import Factor
 from relax.sparsity.supports import sizes
 
 LIMIT = 50
@@ -29,22 +28,22 @@ class Rounded:
 
 def round_supports(problem: Problem, shape: Shape, keep: Mask, progress: Progress) -> Rounded:
     """Refit, drop and refit again until the support repeats; groups in `keep` (m,) are never dropped for their size."""
-    before = shape.amplitudes.any(axis=1)
+    before = problem.standing(shape.amplitudes)
     for _ in range(LIMIT):
         shape = refit(problem, shape, "penalised", progress)
-        standing = shape.amplitudes.any(axis=1)
+        standing = problem.standing(shape.amplitudes)
         small = standing & (sizes(shape.amplitudes) <= problem.penalty.resolution) & ~keep
         if not small.any():
             break
         shape = replace(shape, amplitudes=np.where(small[:, None], 0.0, shape.amplitudes))
-    return Rounded(shape, before & ~shape.amplitudes.any(axis=1), _missing(problem, shape))
+    return Rounded(shape, before & ~problem.standing(shape.amplitudes), _missing(problem, shape))
 
 
 def _missing(problem: Problem, shape: Shape) -> Mask:
     """Candidates without a support whose dual is steeper than R allows anywhere (m,)."""
-    factor = Factor(problem.membrane.stiffness(shape.positions))
+    factor = shape.factor or problem.factor_at(shape.positions)  # refit leaves the one at its last shape
     if factor.singular:
         return np.zeros(len(shape.amplitudes), dtype=bool)
     dual = problem.supports.amplitudes(problem.dual(shape.positions, factor))
     allowed = problem.group_weights(np.zeros_like(shape.amplitudes))
-    return ~shape.amplitudes.any(axis=1) & (sizes(dual) > allowed * SLACK)
+    return ~problem.standing(shape.amplitudes) & (sizes(dual) > allowed * SLACK)

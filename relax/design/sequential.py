@@ -11,15 +11,17 @@ import numpy as np
 
 from relax.arrays import Floats
 from relax.convex.backends import Backend
+from relax.convex.subproblem import Subproblem
 from relax.design.problem import Problem
 from relax.design.refit import Shape, rest
-from relax.factor import Factor
+from relax.errors import BackendError
 from relax.iterate import Stop
 from relax.sparsity.supports import sizes
 
 Weights = Callable[[Floats], Floats]  # amplitudes (m, 3) -> weights (m,)
 FIRST_DAMPING = 0.3  # of the metric: one refused step is halved or so
 LARGEST_DAMPING = 1e9
+SETTLED = 1e-3  # relative decrease of a full step below which Newton on the support is the better next step
 ENOUGH = 1e-10  # relative decrease below which the linearised model has no more to give
 
 
@@ -29,7 +31,7 @@ class State:
 
     shape: Shape
     damping: float = 0.0
-    repeats: int = 0  # steps in a row after which the same supports stood
+    settled: bool = False  # the same supports stood after the last step as before it, or it gained next to nothing
     note: str = ""
     exhausted: bool = False
 
@@ -54,32 +56,37 @@ class SequentialConvex:
     def step(self, state: State) -> State:
         """One convex step from `state`, kept or refused."""
         shape, problem = state.shape, self.problem
-        factor = Factor(problem.membrane.stiffness(shape.positions))
+        factor = problem.factor_at(shape.positions)
         shape = replace(shape, factor=factor, factorizations=shape.factorizations + 1)
         weights = self.weights(shape.amplitudes)
         before = problem.distance(shape.positions) + float(weights @ sizes(shape.amplitudes))
         subproblem = problem.linearised(shape.positions, factor, weights)
         for damping in _dampings(state.damping):
-            solution = self.backend(subproblem.damped(damping), shape.amplitudes)
+            try:
+                solution = self.backend(subproblem.damped(damping), shape.amplitudes)
+            except BackendError as error:
+                return replace(state, shape=shape, exhausted=True, note=str(error))
             promised = before - self._model(subproblem, solution.displacement, solution.amplitudes)
             if promised <= ENOUGH * before:
                 return replace(state, shape=shape, exhausted=True, note=f"{solution.ran}, nothing more to gain")
             moved = self._moved(shape, solution.displacement, solution.amplitudes)
             if moved is None:
                 continue
+            shape = replace(shape, factorizations=moved.factorizations)
             after = problem.distance(moved.positions) + float(weights @ sizes(moved.amplitudes))
             if after < before:
-                same = np.array_equal(moved.amplitudes.any(axis=1), shape.amplitudes.any(axis=1))
+                same = np.array_equal(problem.standing(moved.amplitudes), problem.standing(shape.amplitudes))
+                small = damping == 0 and before - after < SETTLED * before
                 good = before - after > 0.5 * promised
                 return State(
                     moved,
                     damping=_eased(damping) if good else damping,
-                    repeats=state.repeats + 1 if same else 0,
+                    settled=same or small,
                     note=solution.ran + (f", damping {damping:.2g}" if damping else ""),
                 )
         return replace(state, shape=shape, exhausted=True, note="every step was refused")
 
-    def _model(self, subproblem, displacement: Floats, amplitudes: Floats) -> float:  # type: ignore[no-untyped-def]
+    def _model(self, subproblem: Subproblem, displacement: Floats, amplitudes: Floats) -> float:
         """The convex model's value, without damping."""
         moved = subproblem.offset + displacement
         return float(moved @ (subproblem.metric @ moved)) + float(subproblem.weights @ sizes(amplitudes))
@@ -90,8 +97,8 @@ class SequentialConvex:
         return rest(self.problem, replace(shape, positions=guess, amplitudes=amplitudes))
 
     def done(self, state: State) -> Stop | None:
-        """Settled when the same supports stood after two steps in a row."""
-        return Stop.CONVERGED if state.repeats >= 1 or state.exhausted else None
+        """Settled, or out of steps that pay."""
+        return Stop.CONVERGED if state.settled or state.exhausted else None
 
     def record(self, state: State) -> dict[str, object]:
         """Figures of the state for the trace."""

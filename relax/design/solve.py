@@ -1,66 +1,39 @@
 """The front door: from a problem to a design, its supports rounded and its figures judged."""
 
 import copy
-import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from relax.arrays import Floats
-from relax.convex.backends import BACKENDS
+from relax.convex.backends import BACKENDS, Backend
 from relax.design.masts import Mast, standing_masts
 from relax.design.optimality import Certificate, judge
 from relax.design.problem import Problem
 from relax.design.refit import Shape, refit
 from relax.design.rounding import round_supports
-from relax.design.sequential import SequentialConvex, State, Weights
-from relax.design.starts import Start, at_target, given, heavy_starts, is_planted, resolve_weight
-from relax.errors import EquilibriumError, InputError
-from relax.iterate import Record, Stop, iterate
+from relax.design.sequential import SequentialConvex, State
+from relax.design.starts import Start, choose_starts, resolve_weight
+from relax.design.trace import Callback, Journal, Trace
+from relax.errors import EquilibriumError
+from relax.iterate import Stop, iterate
 from relax.membrane.equilibrium import find_equilibrium
 
 STEPS = 60  # convex steps a sequence; those seen to converge took 3 to 25
 HEAVY_STEPS = 2  # under the first, heavy weights: enough to know where the few masts stand
 ROUNDS = 20  # of convex steps and rounding, while the certificate names candidates that are missing
 
-Callback = Callable[[Record], None]
-
-
-@dataclass(frozen=True)
-class Trace:
-    """The steps of a run, and the state before rounding.
-
-    Parameters
-    ----------
-    positions, forces : (T, V, 3)
-    objective, seconds : (T,)
-    notes : T sentences
-    unrounded_positions, unrounded_forces : (V, 3)
-    """
-
-    problem: Problem = field(repr=False)
-    positions: Floats
-    forces: Floats
-    objective: Floats
-    seconds: Floats
-    notes: tuple[str, ...]
-    unrounded_positions: Floats
-    unrounded_forces: Floats
-
-    @cached_property
-    def stationarity(self) -> Floats:
-        """Of each step (T,), by the judge; nan where the stiffness was singular. Not part of the run's time."""
-        judged = [judge(self.problem, x, p).stationarity for x, p in zip(self.positions, self.forces, strict=True)]
-        return np.array([np.nan if value is None else value for value in judged])
-
 
 @dataclass(frozen=True)
 class Design:
-    """What a run found: the membrane at rest, the supports that hold it, and what the judge says of it."""
+    """What a run found: the membrane at rest, the supports that hold it, and what the judge says of it.
+
+    `settings` are the scene's as resolved (`penalty.weight` is the number used); `stop` is a sentence; `iterations` and
+    `factorizations` count over all starts, `seconds` is the solve alone; `skipped` says what the scene did not need.
+    """
 
     problem: Problem
     settings: Mapping[str, Any] = field(repr=False)
@@ -83,52 +56,18 @@ class Design:
     def __str__(self) -> str:
         said = self.certificate
         masts = "1 support" if said.supports == 1 else f"{said.supports} supports"
-        return f"{self.stop} in {self.iterations} steps: {masts}, rms distance {said.rms_distance:.3g} m, objective {said.objective:.6g}"
-
-
-class _Journal:
-    """Collects the steps of a run, and the best rounded shape so far."""
-
-    def __init__(self, problem: Problem, callback: Callback | None) -> None:
-        self.problem, self.callback = problem, callback
-        self.begin = time.perf_counter()
-        self.paused = 0.0
-        self.shapes: list[Shape] = []
-        self.objective: list[float] = []
-        self.seconds: list[float] = []
-        self.notes: list[str] = []
-        self.stage = ""
-
-    def __call__(self, record: Record) -> None:
-        """Keep a record; one that shows the same shape as the last is not a step."""
-        shape: Shape = record["shape"]
-        if self.shapes and shape.positions is self.shapes[-1].positions and shape.amplitudes is self.shapes[-1].amplitudes:
-            return
-        now = time.perf_counter()
-        self.shapes.append(replace(shape, factor=None))
-        self.objective.append(record["objective"])
-        self.seconds.append(now - self.begin - self.paused)
-        self.notes.append(f"{self.stage}: {record['note']}" if record["note"] else self.stage)
-        if self.callback is not None:
-            stationarity = judge(self.problem, shape.positions, full_forces(self.problem, shape)).stationarity
-            kept = {"objective": record["objective"], "supports": record["supports"], "stationarity": stationarity}
-            self.callback({"step": len(self.shapes) - 1, "seconds": self.seconds[-1], "note": self.notes[-1], **kept})
-            self.paused += time.perf_counter() - now
-
-
-def full_forces(problem: Problem, shape: Shape) -> Floats:
-    """Support forces of all vertices (V, 3)."""
-    forces = np.zeros_like(problem.scene.target)
-    forces[problem.membrane.free] = problem.supports.forces(shape.amplitudes)
-    return forces
+        figures = f"rms distance {said.rms_distance:.3g} m, objective {said.objective:.6g}"
+        return f"{self.stop} in {self.iterations} steps: {masts}, {figures}"
 
 
 @dataclass(frozen=True)
 class _Outcome:
-    start: str
+    """How one start ended; `trouble` says why where the membrane would no longer stand."""
+
     shape: Shape
     unrounded: Shape
     certificate: Certificate
+    trouble: str = ""
 
 
 def solve(problem: Problem, start: tuple[Floats, Floats] | None = None, callback: Callback | None = None) -> Design:
@@ -153,62 +92,50 @@ def solve(problem: Problem, start: tuple[Floats, Floats] | None = None, callback
 
 
 def _solve(problem: Problem, start: tuple[Floats, Floats] | None, callback: Callback | None) -> Design:
-    journal = _Journal(problem, callback)
+    journal = Journal(problem, callback)
     outcomes: list[_Outcome] = []
     skipped: list[str] = []
-    interrupted = False
     try:
-        for begin in _starts(problem, start, skipped):
+        for begin in choose_starts(problem, start, skipped):
             outcomes.append(_run(problem, begin, journal))
         best = min(outcomes, key=lambda outcome: (not outcome.certificate.converged, outcome.certificate.objective))
-        best = _debiased(problem, best, journal)
+        if problem.scene.settings["rounding"]["refit"] == "debiased":
+            journal.stage = "debiasing"
+            shape = refit(problem, best.shape, "debiased", journal)
+            best = replace(best, shape=shape, certificate=_judged(problem, shape))
+        stop = Stop.CONVERGED.value if best.certificate.converged else best.trouble or Stop.STALLED.value
     except KeyboardInterrupt:
-        interrupted = True
         best = _best_so_far(problem, outcomes, journal)
-    return _design(problem, best, journal, tuple(skipped), interrupted=interrupted)
+        stop = Stop.INTERRUPTED.value
+    design = _design(problem, best, journal, stop)
+    return replace(design, skipped=tuple(skipped), factorizations=sum(each.shape.factorizations for each in outcomes))
 
 
-def _starts(problem: Problem, start: tuple[Floats, Floats] | None, skipped: list[str]) -> list[Start]:
-    """The starts that the scene asks for; what a run need not look at goes to `skipped`."""
-    choice = problem.scene.settings["solver"]["start"]
-    if start is not None:
-        shape = given(problem, *start)
-        if shape is None:
-            raise EquilibriumError("solver.start: under the forces of that result this membrane finds no rest; start elsewhere")
-        return [Start("given", shape)]
-    if choice not in ("auto", "target", "heavy"):
-        raise InputError(f"solver.start is {choice!r}: hand the positions and forces of that result to solve(start=...)")
-    heavy: list[Start] = []
-    if choice in ("auto", "target"):
-        shape = at_target(problem)
-        if choice == "target":
-            if shape is None:
-                raise EquilibriumError('solver.start = "target": the membrane finds no rest near the target; use "heavy" or "auto"')
-            return [Start("target", shape)]
-        if shape is not None and is_planted(problem, shape):
-            skipped.append("heavy starts: few supports hold the target as it is")
-            return [Start("target", shape)]
+def _run(problem: Problem, start: Start, journal: Journal) -> _Outcome:
+    """Convex steps and rounding from one start; a membrane that no longer stands ends them with what was reached."""
+    trouble = ""
+    first = len(journal.shapes)
     try:
-        heavy = heavy_starts(problem)
-    except EquilibriumError:
-        if choice == "heavy" or shape is None:
-            raise
-        skipped.append("heavy starts: the membrane without supports finds no rest")
-        return [Start("target", shape)]
-    skipped.append("start at the target: its own springs ask for a support almost everywhere")
-    return heavy
+        shape, unrounded = _steps_and_rounding(problem, start, journal)
+    except EquilibriumError as error:
+        trouble = str(error)
+        shape = unrounded = journal.shapes[-1] if len(journal.shapes) > first else start.shape
+    return _Outcome(shape, unrounded, judge(problem, shape.positions, problem.all_forces(shape.amplitudes)), trouble)
 
 
-def _run(problem: Problem, start: Start, journal: _Journal) -> _Outcome:
-    """Convex steps and rounding from one start, until the certificate names no missing candidate."""
+def _steps_and_rounding(problem: Problem, start: Start, journal: Journal) -> tuple[Shape, Shape]:
+    """The rounded shape, and the one before the first rounding: until the certificate names no missing candidate."""
     shape = start.shape
     if start.weight is not None:
         constant = start.weight * problem.supports.weights
-        shape = _sequence(problem, shape, lambda _: constant, HEAVY_STEPS, journal, f"start {start.name}, first weights")
+        journal.stage = f"start {start.name}, first weights"
+        shape = _sequence(SequentialConvex(problem, lambda _: constant, _backend(problem, "quick")), shape, HEAVY_STEPS, journal)
     unrounded = None
     keep = np.zeros(len(shape.amplitudes), dtype=bool)
+    method = SequentialConvex(problem, problem.group_weights, _backend(problem, "auto"))
     for _ in range(ROUNDS):
-        shape = _sequence(problem, shape, problem.group_weights, STEPS, journal, f"start {start.name}")
+        journal.stage = f"start {start.name}"
+        shape = _sequence(method, shape, STEPS, journal)
         unrounded = unrounded or shape
         journal.stage = f"start {start.name}, rounding"
         result = round_supports(problem, shape, keep, journal)
@@ -217,64 +144,52 @@ def _run(problem: Problem, start: Start, journal: _Journal) -> _Outcome:
             break
         # what was dropped for its size and is missed at once stays: else the two would take turns for ever
         keep = keep | (result.dropped & result.missing)
-    certificate = judge(problem, shape.positions, full_forces(problem, shape))
-    return _Outcome(start.name, shape, unrounded or shape, certificate)
+    return shape, unrounded or shape
 
 
-def _sequence(problem: Problem, shape: Shape, weights: Weights, limit: int, journal: _Journal, stage: str) -> Shape:
-    journal.stage = stage
-    backend = BACKENDS[problem.scene.settings["solver"]["backend"]]
-    return iterate(SequentialConvex(problem, weights, backend), State(shape), limit, journal).state.shape
+def _backend(problem: Problem, automatic: str) -> Backend:
+    """The back-end that the scene names, or the `automatic` one."""
+    named = problem.scene.settings["solver"]["backend"]
+    return BACKENDS[automatic if named == "auto" else named]
 
 
-def _debiased(problem: Problem, best: _Outcome, journal: _Journal) -> _Outcome:
-    """The last solve with R dropped on the support, where the scene asks for it."""
-    if problem.scene.settings["rounding"]["refit"] != "debiased":
-        return best
-    journal.stage = "debiasing"
-    shape = refit(problem, best.shape, "debiased", journal)
-    return replace(best, shape=shape, certificate=judge(problem, shape.positions, full_forces(problem, shape), "debiased"))
+def _sequence(method: SequentialConvex, shape: Shape, limit: int, journal: Journal) -> Shape:
+    return iterate(method, State(shape), limit, journal).state.shape
 
 
-def _best_so_far(problem: Problem, outcomes: list[_Outcome], journal: _Journal) -> _Outcome:
-    """What an interrupted run can show: the best finished start, else the last step."""
+def _judged(problem: Problem, shape: Shape) -> Certificate:
+    """The judge's word on a shape as the scene's last solve leaves it."""
+    refitted = problem.scene.settings["rounding"]["refit"]
+    return judge(problem, shape.positions, problem.all_forces(shape.amplitudes), refitted)
+
+
+def _best_so_far(problem: Problem, outcomes: list[_Outcome], journal: Journal) -> _Outcome:
+    """What an interrupted run can show: the best finished start, else its best step."""
     if outcomes:
-        return min(outcomes, key=lambda outcome: outcome.certificate.objective)
-    if not journal.shapes:
+        shape = min(outcomes, key=lambda outcome: outcome.certificate.objective).shape
+    elif journal.shapes:
+        shape = journal.shapes[int(np.argmin(journal.objective))]
+    else:
         raise KeyboardInterrupt
-    shape = journal.shapes[int(np.argmin(journal.objective))]
-    certificate = judge(problem, shape.positions, full_forces(problem, shape))
-    return _Outcome("interrupted", shape, shape, certificate)
+    return _Outcome(shape, shape, _judged(problem, shape))
 
 
-def _design(problem: Problem, best: _Outcome, journal: _Journal, skipped: tuple[str, ...], *, interrupted: bool) -> Design:
-    seconds = time.perf_counter() - journal.begin - journal.paused
-    settings = copy.deepcopy({key: value for key, value in problem.scene.settings.items()})
+def _design(problem: Problem, best: _Outcome, journal: Journal, stop: str) -> Design:
+    settings: dict[str, Any] = copy.deepcopy(dict(problem.scene.settings))
     settings["penalty"]["weight"] = problem.weight
-    stop = Stop.INTERRUPTED if interrupted else Stop.CONVERGED if best.certificate.converged else Stop.STALLED
-    trace = Trace(
-        problem,
-        np.array([shape.positions for shape in journal.shapes]).reshape(-1, *best.shape.positions.shape),
-        np.array([full_forces(problem, shape) for shape in journal.shapes]).reshape(-1, *best.shape.positions.shape),
-        np.array(journal.objective),
-        np.array(journal.seconds),
-        tuple(journal.notes),
-        best.unrounded.positions,
-        full_forces(problem, best.unrounded),
-    )
     return Design(
         problem=problem,
         settings=settings,
         positions=best.shape.positions,
-        forces=full_forces(problem, best.shape),
+        forces=problem.all_forces(best.shape.amplitudes),
         certificate=best.certificate,
-        stop=stop.value,
+        stop=stop,
         iterations=max(0, len(journal.shapes) - 1),
         factorizations=best.shape.factorizations,
-        seconds=seconds,
-        skipped=skipped,
-        interrupted=interrupted,
-        trace=trace,
+        seconds=journal.elapsed(),
+        skipped=(),
+        interrupted=stop == Stop.INTERRUPTED.value,
+        trace=journal.trace(best.unrounded),
     )
 
 
@@ -283,13 +198,15 @@ def form(problem: Problem, forces: Floats, callback: Callback | None = None) -> 
 
     The design's certificate says whether the shape found is in equilibrium and stands; `stop` says why where it is not.
     """
-    problem = resolve_weight(problem)
-    journal = _Journal(problem, callback)
-    nodal = forces[problem.membrane.free]
-    found = find_equilibrium(problem.membrane, problem.scene.start, nodal + problem.loads)
-    shape = Shape(found.positions, problem.supports.amplitudes(nodal), None, found.factorizations)
-    certificate = judge(problem, shape.positions, full_forces(problem, shape))
-    objective = certificate.objective
-    journal({"shape": shape, "objective": objective, "supports": certificate.supports, "note": "Newton on the stiffness matrix"})
-    design = _design(problem, _Outcome("flat", shape, shape, certificate), journal, (), interrupted=False)
-    return replace(design, stop=found.stop.value, iterations=found.iterations)
+    with threadpool_limits(1, "blas"):
+        problem = resolve_weight(problem)
+        journal = Journal(problem, callback)
+        nodal = forces[problem.membrane.free]
+        found = find_equilibrium(problem.membrane, problem.scene.start, nodal + problem.loads)
+        shape = Shape(found.positions, problem.supports.amplitudes(nodal), None, found.factorizations)
+        certificate = _judged(problem, shape)
+        journal.stage = "form-finding"
+        note = "Newton on the stiffness matrix"
+        journal({"shape": shape, "objective": certificate.objective, "supports": certificate.supports, "note": note})
+        stop = Stop.UNSTABLE if found.found and not certificate.stable else found.stop
+        return replace(_design(problem, _Outcome(shape, shape, certificate), journal, stop.value), iterations=found.iterations)

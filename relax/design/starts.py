@@ -7,13 +7,12 @@ import numpy as np
 from relax.arrays import Floats
 from relax.design.problem import Problem
 from relax.design.refit import Shape, rest
-from relax.errors import EquilibriumError
-from relax.factor import Factor
+from relax.errors import EquilibriumError, InputError
 from relax.membrane.equilibrium import find_equilibrium
 from relax.sparsity.supports import sizes
 
 PLANTED = 0.1  # share of the candidates: where fewer carry a force at the target, the target is itself a tensile surface
-HEAVY = (0.5, 0.1)  # first weights, as shares of the largest useful one; neither wins on every scene
+HEAVY = (0.5, 0.1, 0.005)  # first weights, as shares of the largest useful one; none wins on every scene
 
 
 @dataclass(frozen=True)
@@ -31,22 +30,23 @@ def unsupported(problem: Problem) -> Shape:
     Raises
     ------
     EquilibriumError
-        It finds no rest; the message says why.
+        It finds no rest, or does not stand there; the message says why.
     """
     found = find_equilibrium(problem.membrane, problem.scene.start, problem.loads)
     if not found.found:
         raise EquilibriumError(f"the membrane without supports: {found.stop.value}")
-    factor = Factor(problem.membrane.stiffness(found.positions))
-    if factor.singular:
+    factor = problem.factor_at(found.positions)
+    if not factor.positive_definite:
         raise EquilibriumError(
-            "the membrane without supports has a singular stiffness (no prestress, or a slack part): lower membrane.rest_scale"
+            "the membrane without supports does not stand by itself (no prestress, or a slack part): lower membrane.rest_scale"
         )
     return Shape(found.positions, np.zeros_like(problem.supports.rows, dtype=float), factor, found.factorizations + 1)
 
 
 def largest_weight(problem: Problem, shape: Shape) -> float:
     """The smallest weight at which no support passes the dual test: max |lam_g| / c_g at the unsupported `shape`."""
-    dual = problem.supports.amplitudes(problem.dual(shape.positions, shape.factor))
+    factor = shape.factor or problem.factor_at(shape.positions)
+    dual = problem.supports.amplitudes(problem.dual(shape.positions, factor))
     return float((sizes(dual) / problem.supports.weights).max())
 
 
@@ -69,7 +69,7 @@ def at_target(problem: Problem) -> Shape | None:
     """The target under the forces that its own springs ask for, x = xhat, p = -f(xhat) - g, or as near as candidates allow."""
     target = problem.scene.target
     wanted = -problem.membrane.forces(target) - problem.loads
-    shape = Shape(target, problem.supports.amplitudes(wanted), Factor(problem.membrane.stiffness(target)), 0)
+    shape = Shape(target, problem.supports.amplitudes(wanted), problem.factor_at(target), 0)
     return rest(problem, shape)
 
 
@@ -79,13 +79,53 @@ def given(problem: Problem, positions: Floats, forces: Floats) -> Shape | None:
     placed = problem.scene.clean_target.copy()
     placed[free] = positions[free]
     amplitudes = problem.supports.amplitudes(forces[free])
-    return rest(problem, Shape(placed, amplitudes, Factor(problem.membrane.stiffness(placed)), 0))
+    return rest(problem, Shape(placed, amplitudes, problem.factor_at(placed), 0))
 
 
 def is_planted(problem: Problem, shape: Shape) -> bool:
     """Whether few supports hold the target as it is, so that nothing needs to be searched for elsewhere."""
     counted = np.count_nonzero(sizes(shape.amplitudes) > problem.penalty.resolution)
-    return problem.penalty.resolution > 0 and counted <= PLANTED * len(shape.amplitudes)
+    return problem.penalty.resolution > 0 and bool(counted <= PLANTED * len(shape.amplitudes))
+
+
+def choose_starts(problem: Problem, start: tuple[Floats, Floats] | None, skipped: list[str]) -> list[Start]:
+    """The starts that the scene asks for; what a run need not look at is said in `skipped`.
+
+    `start`: positions and forces (V, 3) of another result, from which alone to start.
+
+    Raises
+    ------
+    EquilibriumError, InputError
+        A start that was asked for is not to be had.
+    """
+    choice = problem.scene.settings["solver"]["start"]
+    if start is not None:
+        return [Start("given", _found(given(problem, *start), "under the forces of that result"))]
+    if choice not in ("auto", "target", "heavy"):
+        raise InputError(f"solver.start is {choice!r}: hand the positions and forces of that result to solve(start=...)")
+    if choice == "heavy":
+        return heavy_starts(problem)
+    shape = at_target(problem)
+    if choice == "target":
+        return [Start("target", _found(shape, "near the target"))]
+    if shape is not None and is_planted(problem, shape):
+        skipped.append("heavy starts: few supports hold the target as it is")
+        return [Start("target", shape)]
+    try:
+        starts = heavy_starts(problem)
+    except EquilibriumError:
+        if shape is None:
+            raise
+        skipped.append("heavy starts: the membrane does not stand without supports")
+        return [Start("target", shape)]
+    skipped.append("start at the target: its own springs ask for a support almost everywhere")
+    return starts
+
+
+def _found(shape: Shape | None, where: str) -> Shape:
+    if shape is None:
+        raise EquilibriumError(f"solver.start: the membrane finds no rest {where}; start elsewhere (auto or heavy)")
+    return shape
 
 
 def heavy_starts(problem: Problem) -> list[Start]:

@@ -1,33 +1,38 @@
-"""All of a file as bytes, or a sentence on why not."""
+"""Files opened or read as bytes, or a sentence on why not."""
 
 from pathlib import Path
+from typing import BinaryIO
 
 from relax.errors import InputError
 
-MOST_BYTES = 1_000_000_000  # no mesh or height field that can be solved comes near
+MOST_BYTES = 1_000_000_000  # no mesh that can be solved comes near
 
 
-def read_bytes(path: Path, most: int = MOST_BYTES) -> bytes:
-    """Content of the file at `path`.
+def open_bytes(path: Path) -> BinaryIO:
+    """Open the file at `path` for reading.
 
     Raises
     ------
     InputError
-        A file that is missing, a folder, unreadable or larger than `most` bytes; the message does not name it.
+        A file that is missing, a folder or a device, or unreadable; the message does not name it.
     """
     try:
         if path.exists() and not path.is_file():
             raise InputError(f"this is a {'folder' if path.is_dir() else 'device'}: name a file")
-        with path.open("rb") as stream:
-            content = stream.read(most + 1)
+        return path.open("rb")
     except FileNotFoundError:
         raise InputError("no such file: check the path") from None
     except InputError:
         raise
     except (OSError, ValueError) as error:
-        raise InputError(
-            f"cannot be read ({getattr(error, 'strerror', None) or error}): check the path and its permissions"
-        ) from None
+        reason = getattr(error, "strerror", None) or error
+        raise InputError(f"cannot be read ({reason}): check the path and its permissions") from None
+
+
+def read_bytes(path: Path, most: int = MOST_BYTES) -> bytes:
+    """Content of the file at `path`, which holds `most` bytes at most; raises InputError as `open_bytes` does."""
+    with open_bytes(path) as stream:
+        content = stream.read(most + 1)
     if len(content) > most:
         raise InputError(f"the file is larger than {most:,} bytes: thin it out")
     return content

@@ -14,7 +14,7 @@ import numpy as np
 
 from relax.arrays import Floats
 from relax.errors import InputError
-from relax.files.bytes import read_bytes
+from relax.files.bytes import open_bytes, read_bytes
 from relax.files.schema import HEIGHT_SUFFIXES
 
 MOST_SAMPLES = 4_000_000  # far beyond what can be solved, far below what fills a memory
@@ -53,7 +53,8 @@ def read_heights(path: Path) -> tuple[Floats, tuple[float, float] | None]:
     if suffix in (".png", ".tif", ".tiff"):
         heights = _read_picture(path)
     elif suffix == ".npy":
-        heights = _read_array(io.BytesIO(read_bytes(path)))
+        with open_bytes(path) as stream:
+            heights = _read_array(stream)
     elif suffix == ".npz":
         heights = _read_archive(path)
     elif suffix == ".asc":
@@ -107,7 +108,7 @@ def _read_array(stream: Any) -> Floats:
 
 def _read_archive(path: Path) -> Floats:
     try:
-        with zipfile.ZipFile(io.BytesIO(read_bytes(path))) as archive:
+        with open_bytes(path) as content, zipfile.ZipFile(content) as archive:
             if "z.npy" not in archive.namelist():
                 names = ", ".join(name.removesuffix(".npy") for name in archive.namelist()[:8])
                 raise InputError(f"it has no array z; it has {names or 'none'}: save it with numpy.savez(file, z=heights)")
@@ -217,9 +218,8 @@ def _read_picture(path: Path) -> Floats:
     """Raw values of a picture of one channel, top row first; its size is looked at before it is decoded."""
     from PIL import Image, UnidentifiedImageError  # noqa: PLC0415 - pictures alone need it
 
-    content = io.BytesIO(read_bytes(path))
     try:
-        with warnings.catch_warnings():
+        with open_bytes(path) as content, warnings.catch_warnings():
             # Pillow only warns of truncated data and of pictures large enough to fill the memory
             warnings.simplefilter("error")
             with Image.open(content, formats=["PNG", "TIFF"]) as picture:

@@ -6,10 +6,10 @@ from functools import cached_property
 import numpy as np
 from scipy.sparse import csc_array, diags_array
 
+from relax.arrays import Floats
 from relax.factor import Factor
 from relax.iterate import Stop, iterate
 from relax.membrane.membrane import Membrane
-from relax.arrays import Floats
 
 RESIDUAL = 1e-13  # aim, relative: what double precision reaches on meshes of 1e5 vertices
 ENOUGH = 1e-11  # below this a residual that no longer falls is round-off (a result needs 1e-10)
@@ -96,7 +96,7 @@ class _Newton:
         length = 1.0
         for _ in range(40):
             trial = self._moved(state, direction, length)
-            if self.potential(trial.positions) <= start + 1e-4 * length * slope + 1e-16:
+            if self.potential(trial.positions) <= start + 1e-4 * length * slope:
                 return trial
             if -slope < 1e3 * noise and trial.residual < state.residual:
                 return trial

@@ -78,7 +78,7 @@ class Membrane:
         return pointer, column[order], source[order]
 
     def edge_vectors(self, positions: Floats) -> Floats:
-        """v = x_b - x_a, (E, 3) metres."""
+        """V = x_b - x_a, (E, 3) metres."""
         return positions[self.edges[:, 1]] - positions[self.edges[:, 0]]
 
     def edge_state(self, positions: Floats) -> EdgeState:

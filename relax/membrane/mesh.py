@@ -99,9 +99,10 @@ def grid_mesh(rows: int, columns: int, diagonals: str) -> Mesh:
 
 def face_areas(positions: Floats, faces: Ints) -> Floats:
     """Area of each face (F,): half the cross product of a triangle's sides or of a quad's diagonals."""
-    last = np.where(faces[:, 3] < 0, faces[:, 0], faces[:, 3])
+    triangle = faces[:, 3:] < 0
+    last = np.where(triangle[:, 0], faces[:, 0], faces[:, 3])
     one = positions[faces[:, 2]] - positions[faces[:, 0]]
-    other = np.where((faces[:, 3] < 0)[:, None], positions[faces[:, 1]] - positions[faces[:, 0]], positions[last] - positions[faces[:, 1]])
+    other = np.where(triangle, positions[faces[:, 1]] - positions[faces[:, 0]], positions[last] - positions[faces[:, 1]])
     return 0.5 * np.linalg.norm(np.cross(one, other), axis=1)
 
 
@@ -109,7 +110,9 @@ def vertex_areas(positions: Floats, mesh: Mesh) -> Floats:
     """Share of the adjacent faces' area (V,): a third of each triangle, a quarter of each quad, so that they add up."""
     real = mesh.faces >= 0
     share = face_areas(positions, mesh.faces) / real.sum(axis=1)
-    return np.bincount(mesh.faces[real], np.repeat(share, real.sum(axis=1)), minlength=mesh.vertices)
+    total = np.zeros(mesh.vertices)
+    np.add.at(total, mesh.faces[real], np.repeat(share, real.sum(axis=1)))
+    return total
 
 
 def edge_areas(positions: Floats, mesh: Mesh) -> Floats:

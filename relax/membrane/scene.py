@@ -9,6 +9,7 @@ import numpy as np
 
 from relax.arrays import Floats, Mask, lock_arrays
 from relax.errors import InputError
+from relax.membrane.membrane import Membrane
 from relax.membrane.mesh import (
     Mesh,
     boundary_vertices,
@@ -17,7 +18,6 @@ from relax.membrane.mesh import (
     edge_areas,
     vertex_areas,
 )
-from relax.membrane.membrane import Membrane
 from relax.membrane.springs import SPRINGS
 
 Settings = Mapping[str, Mapping[str, Any]]

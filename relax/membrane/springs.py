@@ -15,7 +15,10 @@ from relax.arrays import Floats
 class Springs(Protocol):
     """A spring law: energy e(l) and its first three derivatives, each (E,) from lengths, rest lengths and constants."""
 
-    name: str
+    @property
+    def name(self) -> str:
+        """As in a scene's membrane.springs."""
+        ...
 
     def energy(self, length: Floats, rest: Floats, constant: Floats) -> Floats:
         """Stored energy e, newton metres."""

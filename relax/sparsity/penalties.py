@@ -21,7 +21,10 @@ from relax.arrays import Floats
 class Penalty(Protocol):
     """A profile phi with phi(0) = 0, of force magnitudes t >= 0 in newtons; arrays in, arrays of the same shape out."""
 
-    name: str
+    @property
+    def name(self) -> str:
+        """As in a scene's penalty.name."""
+        ...
 
     def value(self, size: Floats) -> Floats:
         """phi(t)."""

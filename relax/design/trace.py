@@ -1,0 +1,93 @@
+"""The trace of a run: every step's shape with its figures, kept while the run goes on and judged when somebody asks."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from relax.arrays import Floats
+from relax.design.optimality import judge
+from relax.design.problem import Problem
+from relax.design.refit import Shape
+from relax.iterate import Record
+
+Callback = Callable[[Record], None]
+
+
+@dataclass(frozen=True)
+class Trace:
+    """The steps of a run, and the state before rounding.
+
+    Parameters
+    ----------
+    problem : Problem
+    positions, forces : (T, V, 3)
+    objective, seconds : (T,)
+    notes : T sentences
+    unrounded_positions, unrounded_forces : (V, 3)
+    """
+
+    problem: Problem = field(repr=False)
+    positions: Floats
+    forces: Floats
+    objective: Floats
+    seconds: Floats
+    notes: tuple[str, ...]
+    unrounded_positions: Floats
+    unrounded_forces: Floats
+
+    @cached_property
+    def stationarity(self) -> Floats:
+        """Of each step (T,), by the judge; nan where the stiffness was singular. Not part of the run's time."""
+        judged = [judge(self.problem, x, p).stationarity for x, p in zip(self.positions, self.forces, strict=True)]
+        return np.array([np.nan if value is None else value for value in judged])
+
+
+class Journal:
+    """Collects the steps of one run while it goes on; what the callback costs is taken off the clock."""
+
+    def __init__(self, problem: Problem, callback: Callback | None) -> None:
+        self.problem, self.callback = problem, callback
+        self.begin = time.perf_counter()
+        self.paused = 0.0
+        self.shapes: list[Shape] = []
+        self.objective: list[float] = []
+        self.seconds: list[float] = []
+        self.notes: list[str] = []
+        self.stage = ""
+
+    def elapsed(self) -> float:
+        """Seconds of the run so far."""
+        return time.perf_counter() - self.begin - self.paused
+
+    def __call__(self, record: Record) -> None:
+        """Keep a record; one that shows the same shape as the last is not a step."""
+        shape: Shape = record["shape"]
+        if self.shapes and shape.positions is self.shapes[-1].positions and shape.amplitudes is self.shapes[-1].amplitudes:
+            return
+        self.shapes.append(replace(shape, factor=None))
+        self.objective.append(record["objective"])
+        self.seconds.append(self.elapsed())
+        self.notes.append(f"{self.stage}: {record['note']}" if record["note"] else self.stage)
+        if self.callback is not None:
+            before = time.perf_counter()
+            stationarity = judge(self.problem, shape.positions, self.problem.all_forces(shape.amplitudes)).stationarity
+            kept = {"objective": record["objective"], "supports": record["supports"], "stationarity": stationarity}
+            self.callback({"step": len(self.shapes) - 1, "seconds": self.seconds[-1], "note": self.notes[-1], **kept})
+            self.paused += time.perf_counter() - before
+
+    def trace(self, unrounded: Shape) -> Trace:
+        """What was collected, and the shape before rounding."""
+        shape = (-1, *unrounded.positions.shape)
+        return Trace(
+            self.problem,
+            np.array([step.positions for step in self.shapes]).reshape(shape),
+            np.array([self.problem.all_forces(step.amplitudes) for step in self.shapes]).reshape(shape),
+            np.array(self.objective),
+            np.array(self.seconds),
+            tuple(self.notes),
+            unrounded.positions,
+            self.problem.all_forces(unrounded.amplitudes),
+        )

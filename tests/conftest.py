@@ -1,0 +1,11 @@
+"""Settings of all tests: hypothesis draws the same examples each run, BLAS keeps to one thread as in a solve."""
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("MPLBACKEND", "agg")
+
+from hypothesis import settings
+
+settings.register_profile("relax", derandomize=True, max_examples=25, deadline=None, database=None)
+settings.load_profile("relax")

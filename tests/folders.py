@@ -1,0 +1,39 @@
+"""Scene folders on disk for the tests of reading, writing and the command line."""
+
+from pathlib import Path
+
+import numpy as np
+
+SIZE = 7
+
+
+def bump(size=SIZE):
+    """Heights of a smooth hill over a flat, square edge (size, size)."""
+    line = np.sin(np.pi * np.linspace(0, 1, size))
+    return 0.3 * np.outer(line, line) ** 2
+
+
+def write_scene(folder: Path, text: str = "", name: str = "hill.toml") -> Path:
+    """A scene over `bump`, with `text` behind its [target]."""
+    np.save(folder / "hill.npy", bump())
+    path = folder / name
+    path.write_text(f'[target]\nheights = "hill.npy"\nspacing = [0.2, 0.2]\n{text}', encoding="utf-8")
+    return path
+
+
+def mutations(content: bytes, count: int, seed: int):
+    """`content` cut short, with bytes changed, doubled and left out, `count` times."""
+    rng = np.random.default_rng(seed)
+    for index in range(count):
+        mutant = bytearray(content)
+        at = int(rng.integers(len(mutant)))
+        if index % 4 == 0:
+            del mutant[at:]
+        elif index % 4 == 1:
+            for place in rng.integers(len(mutant), size=3):
+                mutant[place] = rng.integers(256)
+        elif index % 4 == 2:
+            del mutant[at : at + int(rng.integers(1, 9))]
+        else:
+            mutant[at:at] = bytes(rng.choice(list(b"0123456789-.eE \n#/nai"), size=int(rng.integers(1, 6))).tolist())
+        yield bytes(mutant)

@@ -1,0 +1,152 @@
+"""Tiny scenes whose answers are known by hand, by a linear solve, or because they were planted."""
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial import Delaunay
+
+from relax.files.schema import resolve
+from relax.membrane.equilibrium import find_equilibrium
+from relax.membrane.membrane import Membrane
+from relax.membrane.mesh import Mesh, grid_mesh, mesh_from_faces
+from relax.membrane.scene import Scene, build_scene
+from relax.membrane.springs import Hookean
+
+
+def settings(**changes):
+    """All defaults of the format, ground 0, and `section__key=value` changes, unchecked."""
+    whole = resolve({"target": {"mesh": "zoo.obj"}}, "zoo")
+    whole["supports"]["ground"] = 0.0
+    for name, value in changes.items():
+        section, key = name.split("__")
+        assert key in whole[section], name
+        whole[section][key] = value
+    return whole
+
+
+def grid(n, diagonals="alternating", span=1.0):
+    """Mesh and flat positions of n x n vertices over a square of side `span`; vertex = row * n + column."""
+    y, x = np.divmod(np.arange(n * n), n)
+    return grid_mesh(n, n, diagonals), np.column_stack([x, y, np.zeros(n * n)]) * (span / (n - 1))
+
+
+def grid_scene(n, height=None, diagonals="alternating", **changes):
+    """A square of n x n vertices, edge fixed, lifted to z = height(x, y)."""
+    mesh, target = grid(n, diagonals)
+    if height is not None:
+        target[:, 2] = height(*target.T[:2])
+    return build_scene(settings(**changes), mesh, target, None)
+
+
+def hill(x, y):
+    """Smooth, zero on the edge of the unit square."""
+    return 0.3 * (np.sin(np.pi * x) * np.sin(np.pi * y)) ** 2
+
+
+def bumps(x, y):
+    """Three paraboloids that no membrane follows exactly."""
+    tops = ((0.3, 0.3, 0.2), (0.7, 0.35, 0.25), (0.45, 0.72, 0.22))
+    return np.maximum(0, np.max([h * (1 - ((x - a) ** 2 + (y - b) ** 2) / 0.04) for a, b, h in tops], axis=0))
+
+
+@dataclass(frozen=True)
+class Planted:
+    """A scene whose clean target is the equilibrium under `forces` (V, 3): zero distance, those supports."""
+
+    scene: Scene
+    forces: np.ndarray
+    positions: np.ndarray
+
+    @property
+    def vertices(self):
+        """Where the planted supports stand."""
+        return np.flatnonzero(self.forces.any(axis=1))
+
+
+ONE_MAST = (((0.5, 0.5), (0.0, 0.0, 0.3)),)
+TWO_MASTS = (((0.25, 0.25), (0.0, 0.0, 0.25)), ((0.75, 0.5), (0.05, 0.0, 0.3)))
+
+
+def planted(n, masts=ONE_MAST, sigma=None, seed=0, **changes):
+    """Forces at plan positions (u, v) of the unit square of n x n vertices; noise only with `sigma`."""
+    mesh, flat = grid(n)
+    forces = np.zeros_like(flat)
+    for (u, v), force in masts:
+        forces[round(v * (n - 1)) * n + round(u * (n - 1))] += force
+    bare = build_scene(settings(**changes), mesh, flat, None)
+    found = find_equilibrium(bare.membrane, flat, (forces + bare.loads)[bare.membrane.free])
+    assert found.found, found.stop
+    # rest lengths, areas and loads are those of the flat shape, whatever the plan of the tent
+    noise = None if sigma is None else {"sigma": sigma, "seed": seed}
+    scene = build_scene(settings(target__noise=noise, **changes), mesh, found.positions, flat)
+    return Planted(replace(scene, loads=bare.loads), forces, found.positions)
+
+
+# The pyramid: four spokes of plan length 1, rest length 3/4 and k = 1 from the held corners to one free vertex.
+# Lifted by 3/4 the spokes are 5/4 long: each pulls 1/2, of which 3/5 is vertical: 4 x 1/2 x 3/5 = 6/5 newtons hold it.
+PYRAMID_HEIGHT = 0.75
+PYRAMID_FORCE = 1.2
+PYRAMID_TENSION = 0.5
+PYRAMID_AREA = 2 / 3  # a third of the plan area, square metres, is the top's
+
+
+def pyramid(height=PYRAMID_HEIGHT, **changes):
+    """Scene of the square pyramid: vertex 4 is the top; fabric and cables alike give k = 1 with the stiffness set here."""
+    target = np.array([[1.0, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0], [0, 0, height]])
+    mesh = mesh_from_faces(5, np.array([[0, 1, 4, -1], [1, 2, 4, -1], [2, 3, 4, -1], [3, 0, 4, -1]]))
+    return build_scene(settings(**{"membrane__rest_scale": 0.75, **changes}), mesh, target, None)
+
+
+class Line(NamedTuple):
+    """Two springs in a row between walls at x = 0 and x = 2, the vertex between them free."""
+
+    membrane: Membrane
+    start: np.ndarray
+    stiffness: float
+
+    def answer(self, pull):
+        """Where the free vertex rests under `pull` along x: k1 (x - L1) - k2 (2 - x - L2) = pull."""
+        (k1, k2), (l1, l2) = self.membrane.spring_constant, self.membrane.rest_length
+        return (pull + k1 * l1 + k2 * (2 - l2)) / (k1 + k2)
+
+
+def line(springs=None):
+    """Constants 1 and 3 N/m, rest lengths 0.5 and 0.4 m."""
+    membrane = Membrane(
+        np.array([[0, 1], [1, 2]]),
+        np.array([0.5, 0.4]),
+        np.array([1.0, 3.0]),
+        Hookean() if springs is None else springs,
+        np.array([True, False, True]),
+    )
+    return Line(membrane, np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0]]), 4.0)
+
+
+def force_density_net(n=6, **changes):
+    """A loaded force-density net of n x n vertices, q = 2: its shape is one linear solve (naive.force_density_shape)."""
+    chosen = {"membrane__springs": "force-density", "membrane__stiffness": 2.0, "membrane__loads": [0.1, 0.0, -1.0]}
+    return grid_scene(n, hill, **{**chosen, **changes})
+
+
+def irregular(count=5, seed=0):
+    """Mesh and positions of a square of jittered vertices, triangulated by Delaunay, with uneven heights; edge in plane."""
+    rng = np.random.default_rng(seed)
+    y, x = np.divmod(np.arange(count**2), count)
+    inside = (x > 0) & (x < count - 1) & (y > 0) & (y < count - 1)
+    positions = np.column_stack([x, y, np.zeros(count**2)]) / (count - 1)
+    positions[inside] += rng.uniform(-0.25, 0.25, (inside.sum(), 3)) / (count - 1)
+    triangles = Delaunay(positions[:, :2]).simplices
+    return mesh_from_faces(count**2, np.column_stack([triangles, np.full(len(triangles), -1)])), positions
+
+
+def irregular_scene(count=5, seed=0, **changes):
+    """A scene on the irregular mesh; with the default rest_scale all edges are taut at the target."""
+    mesh, positions = irregular(count, seed)
+    return build_scene(settings(**changes), mesh, positions, None)
+
+
+def mixed() -> tuple[Mesh, np.ndarray]:
+    """A unit-square quad with a triangle of area 1/4 on its right side, all at z = 0: vertices 0 to 4."""
+    positions = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [1.5, 0.5, 0]])
+    return mesh_from_faces(5, np.array([[0, 1, 2, 3], [1, 4, 2, -1]])), positions
