@@ -12,7 +12,7 @@ _HOMES = {
     "relax.files": ("StoredResult", "load_result", "load_scene", "write_result"),
     "relax.membrane.mesh": ("Mesh", "grid_mesh", "mesh_from_faces"),
     "relax.membrane.scene": ("Scene", "build_scene"),
-    "relax.plots": ("draw_picture",),
+    "relax.plots.picture": ("draw_picture",),
     "relax.sparsity.penalties": ("GroupLasso", "Power"),
 }
 _HOME = {name: module for module, names in _HOMES.items() for name in names}

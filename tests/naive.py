@@ -1,4 +1,4 @@
-"""Dense twins written as loops, straight from MATH.md: slow, plain, and what the sparse code must agree with."""
+"""Dense twins written as loops, straight from MATHEMATICS.md: slow, plain, and what the sparse code must agree with."""
 
 import numpy as np
 
@@ -39,7 +39,10 @@ def forces(membrane, x):
 
 def stiffness(membrane, x):
     """K on the free vertices (3n, 3n): q I + (e'' - q) u u^T an edge."""
-    blocks = [(a, b, law[1] / l * np.eye(3) + (law[2] - law[1] / l) * np.outer(u, u)) for a, b, u, l, law in _edges(membrane, x)]
+    blocks = [
+        (a, b, law[1] / length * np.eye(3) + (law[2] - law[1] / length) * np.outer(u, u))
+        for a, b, u, length, law in _edges(membrane, x)
+    ]
     return _summed(membrane, blocks)
 
 
@@ -48,9 +51,9 @@ def stiffness_turn(membrane, x, along):
     whole = np.zeros_like(x)
     whole[membrane.free] = along
     blocks = []
-    for a, b, u, l, law in _edges(membrane, x):
+    for a, b, u, length, law in _edges(membrane, x):
         w = whole[b] - whole[a]
-        rate = (law[2] - law[1] / l) / l
+        rate = (law[2] - law[1] / length) / length
         block = rate * ((u @ w) * (np.eye(3) - 3 * np.outer(u, u)) + np.outer(w, u) + np.outer(u, w))
         blocks.append((a, b, block + law[3] * (u @ w) * np.outer(u, u)))
     return _summed(membrane, blocks)
@@ -114,7 +117,9 @@ def group_lasso(quadratic, linear, weights, rounds=20_000):
     pace = 1 / (2 * np.linalg.eigvalsh(quadratic)[-1])
     s = point = np.zeros((len(weights), 3))
     t = 1.0
-    for _ in range(rounds):
+    for turn in range(rounds):
+        if turn % 250 == 249 and violation(quadratic, linear, weights, s) < 1e-13:
+            break
         moved = point - pace * 2 * (quadratic @ point.ravel() + linear).reshape(-1, 3)
         size = np.linalg.norm(moved, axis=1)
         after = moved * np.maximum(0, 1 - pace * weights / np.maximum(size, 1e-300))[:, None]

@@ -18,7 +18,9 @@ every_law = pytest.mark.parametrize("law", SPRINGS.values(), ids=SPRINGS)
 def residual(membrane, x, applied):
     """Largest unbalanced force over the largest of tensions and applied forces, by loops."""
     unbalanced = naive.forces(membrane, x)[membrane.free] + applied
-    return np.linalg.norm(unbalanced, axis=1).max() / max(np.abs(membrane.tension(x)).max(), np.linalg.norm(applied, axis=1).max())
+    return np.linalg.norm(unbalanced, axis=1).max() / max(
+        np.abs(membrane.tension(x)).max(), np.linalg.norm(applied, axis=1).max()
+    )
 
 
 def loaded(law, load=(0.1, 0.0, -0.4)):
@@ -98,16 +100,18 @@ def test_two_starts_one_answer(law):
     assert np.allclose(one.positions, other.positions, atol=1e-10)
 
 
+@pytest.mark.parametrize("rest_scale", [0.7, 1.1])
 @every_law
-def test_units_change_nothing(law):
-    scene, applied = loaded(law)
-    membrane = scene.membrane
-    # metres and newtons to millimetres and kilonewtons
+def test_units_change_nothing(law, rest_scale):
+    scene = zoo.grid_scene(6, lambda x, y: 4 * zoo.hill(x, y), membrane__springs=law.name, membrane__rest_scale=rest_scale)
+    membrane, applied = scene.membrane, np.tile([0.0, 0.01, -0.05], (16, 1))
+    # metres and newtons to millimetres and kilonewtons; rest_scale 1.1 starts slack
     other = replace(membrane, rest_length=1e3 * membrane.rest_length, spring_constant=1e-6 * membrane.spring_constant)
     one = find_equilibrium(membrane, scene.start, applied)
     two = find_equilibrium(other, 1e3 * scene.start, 1e-3 * applied)
-    assert np.allclose(two.positions, 1e3 * one.positions, atol=1e-8)
-    assert two.factorizations == one.factorizations
+    assert one.found and two.found
+    assert np.allclose(two.positions, 1e3 * one.positions, atol=1e-5)
+    assert two.factorizations == pytest.approx(one.factorizations, abs=2)  # round-off may cost a step
 
 
 def test_the_shape_found_is_a_minimum_of_the_potential():
@@ -201,20 +205,21 @@ def test_chord_steps_spare_factorisations():
     scene, applied = loaded(SPRINGS["hookean"])
     first = find_equilibrium(scene.membrane, scene.start, applied)
     assert 0 < first.factorizations < first.iterations
-    warm = find_equilibrium(scene.membrane, first.positions, 1.01 * applied, first.factor)
+    there = Factor(scene.membrane.stiffness(first.positions))
+    warm = find_equilibrium(scene.membrane, first.positions, 1.01 * applied, there)
     cold = find_equilibrium(scene.membrane, first.positions, 1.01 * applied)
     assert warm.found and warm.factorizations == 0 < cold.factorizations
     assert np.allclose(warm.positions, cold.positions, atol=1e-11)
-    assert warm.factor is first.factor
+    assert warm.factor is there
 
 
 @pytest.mark.parametrize("scale", [1e-3, 1e3, -1.0])
 def test_a_factor_of_no_use_does_no_harm(scale):
     scene, applied = loaded(SPRINGS["hookean"])
     useless = Factor(scale * scene.membrane.stiffness(scene.start))
-    with_it = find_equilibrium(scene.membrane, scene.start, applied, useless)
-    assert with_it.found
-    assert np.allclose(with_it.positions, find_equilibrium(scene.membrane, scene.start, applied).positions, atol=1e-10)
+    with_it, without = (find_equilibrium(scene.membrane, scene.start, applied, factor) for factor in (useless, None))
+    assert np.array_equal(with_it.positions, without.positions)
+    assert (with_it.iterations, with_it.factorizations) == (without.iterations, without.factorizations)
 
 
 def test_at_rest_already_nothing_is_done():

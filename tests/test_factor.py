@@ -66,6 +66,23 @@ def test_a_negative_pivot_anywhere_is_seen(order):
     assert not Factor(csc_array(dense)).positive_definite
 
 
+def test_a_pivot_that_vanishes_on_the_way_is_no_positive_one():
+    dense = np.array([[1.0, 2, 1], [2, 1, 1], [1, 1, 1]])  # rows are swapped, and then all pivots are positive
+    assert np.linalg.eigvalsh(dense)[0] == pytest.approx(-1)
+    factor = Factor(csc_array(dense))
+    assert not factor.positive_definite
+    assert np.allclose(factor.solve(np.ones(3)), np.linalg.solve(dense, np.ones(3)))
+
+
+@few
+@given(seeds)
+def test_the_verdict_does_not_depend_on_units(seed):
+    dense = sparse_symmetric(seed, definite=True)
+    unit = 10 ** np.random.default_rng(seed).uniform(-8, 8, len(dense))
+    factor = Factor(csc_array(unit[:, None] * dense * unit))
+    assert factor.positive_definite == (np.linalg.eigvalsh(dense)[0] > 0)
+
+
 def test_an_empty_diagonal_is_no_matter_for_an_indefinite_matrix():
     factor = Factor(csc_array(np.array([[0.0, 2], [2, 0]])))
     assert not factor.positive_definite

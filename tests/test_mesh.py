@@ -128,7 +128,7 @@ def test_a_mesh_without_outline_has_no_boundary():
     assert not corner_vertices(np.eye(4)[:, :3], tetrahedron).any()
 
 
-@pytest.mark.parametrize(("count", "corners"), [(11, 11), (13, 0), (40, 0)])
+@pytest.mark.parametrize(("count", "corners"), [(11, 11), (12, 0), (13, 0), (40, 0)])
 def test_corners_turn_by_more_than_thirty_degrees(count, corners):
     mesh, x = polygon(count)
     assert corner_vertices(x, mesh).sum() == corners

@@ -127,7 +127,9 @@ def test_the_pyramid_by_hand():
 
 def test_figures_have_the_names_of_the_format():
     names = "objective distance penalty rms_distance supports equilibrium stationarity off_support stable tension_min"
-    assert set(names.split()) | {"tension_max", "slack_share", "converged"} == set(Certificate.__dataclass_fields__) - {"warnings"}
+    assert set(names.split()) | {"tension_max", "slack_share", "converged"} == set(Certificate.__dataclass_fields__) - {
+        "warnings"
+    }
 
 
 def test_a_vertex_off_its_place_is_no_equilibrium(design):

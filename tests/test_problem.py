@@ -123,7 +123,7 @@ def test_defaults_come_from_the_scene():
 
 @pytest.mark.parametrize("weight", [0.0, -1.0, np.nan, np.inf])
 def test_a_weight_that_is_no_positive_number_is_refused(weight):
-    with pytest.raises(InputError, match="penalty.weight is"):
+    with pytest.raises(InputError, match=r"penalty\.weight is"):
         Problem(zoo.pyramid(), weight=weight)
 
 

@@ -1,3 +1,5 @@
+from itertools import pairwise
+
 import naive
 import numpy as np
 import pytest
@@ -13,7 +15,7 @@ TAUT, SHORT = np.array([1.3, 0.9, 3.0]), np.array([0.7, 0.2, 1.5])
 def test_each_function_is_the_derivative_of_the_one_before(law, length):
     chain = (law.energy, law.tension, law.stiffness, law.stiffness_slope)
     way = np.array([1.0, -0.5, 0.7])
-    for function, derivative in zip(chain, chain[1:], strict=False):
+    for function, derivative in pairwise(chain):
         slope = derivative(length, REST, CONSTANT) * way
         assert naive.taylor_order(lambda t, f=function: f(length + t * way, REST, CONSTANT), slope) > 1.9
 

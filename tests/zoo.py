@@ -4,8 +4,11 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.sparse import block_diag, csc_array, diags_array, eye_array
 from scipy.spatial import Delaunay
 
+from relax.convex.subproblem import Subproblem, certify
+from relax.factor import Factor
 from relax.files.schema import resolve
 from relax.membrane.equilibrium import find_equilibrium
 from relax.membrane.membrane import Membrane
@@ -150,3 +153,64 @@ def mixed() -> tuple[Mesh, np.ndarray]:
     """A unit-square quad with a triangle of area 1/4 on its right side, all at z = 0: vertices 0 to 4."""
     positions = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [1.5, 0.5, 0]])
     return mesh_from_faces(5, np.array([[0, 1, 2, 3], [1, 4, 2, -1]])), positions
+
+
+def convex_step(scene=None, fraction=0.2, at=None, candidates=None, metric=None, spread=0.0):
+    """The convex step of a scene linearised at `at` (default: its flat start), weights a fraction of the largest useful one.
+
+    `candidates`: how many, at random; `metric`: (3n, 3n) sparse; `spread`: of the weights, a lognormal's sigma.
+    """
+    scene = planted(6, TWO_MASTS, 0.02).scene if scene is None else scene
+    rng = np.random.default_rng(3)
+    x = scene.start if at is None else at
+    free = scene.membrane.free
+    count = len(free)
+    vertices = np.arange(count) if candidates is None else np.sort(rng.permutation(count)[:candidates])
+    step = Subproblem(
+        Factor(scene.membrane.stiffness(x)),
+        csc_array(eye_array(3 * count)) if metric is None else metric,
+        (x - scene.target)[free].ravel(),
+        (scene.membrane.forces(x) + scene.loads[free]).ravel(),
+        3 * vertices[:, None] + np.arange(3),
+        np.exp(spread * rng.normal(size=len(vertices))),
+    )
+    largest = np.linalg.norm(certify(step, np.zeros(step.rows.shape)).dual, axis=1) / step.weights
+    return replace(step, weights=fraction * largest.max() * step.weights)
+
+
+def convex_steps():
+    """Small steps of every kind, by name; 16 free vertices each."""
+    noisy = planted(6, TWO_MASTS, 0.02).scene
+    loaded = planted(6, ONE_MAST, 0.02, membrane__loads=[0.0, 0.0, -0.2]).scene
+    rng = np.random.default_rng(4)
+    roots = rng.normal(size=(16, 3, 3))
+    steps = {
+        "heavy": convex_step(noisy, 0.7),
+        "medium": convex_step(noisy, 0.2),
+        "light": convex_step(noisy, 0.01),
+        "nothing stands": convex_step(noisy, 1.01),
+        "at the target": convex_step(noisy, 0.2, at=noisy.target),
+        "loaded": convex_step(loaded, 0.1),
+        "uneven weights": convex_step(noisy, 0.1, spread=1.0),
+        "few candidates": convex_step(noisy, 0.1, candidates=5),
+        "one candidate": convex_step(noisy, 0.1, candidates=1),
+        "height alone": convex_step(noisy, 0.2, metric=csc_array(diags_array(np.tile([0.0, 0.0, 1.0], 16)))),
+        "skewed metric": convex_step(noisy, 0.2, metric=csc_array(block_diag(list(roots @ roots.transpose(0, 2, 1))))),
+        "damped": convex_step(noisy, 0.2).damped(0.5),
+        "cones": convex_step(grid_scene(6, bumps, membrane__rest_scale=0.9), 0.05),
+    }
+    at = steps["at the target"]
+    steps["a hair off the target"] = replace(at, offset=1e-12 * rng.normal(size=48))
+    steps["millimetres"] = in_millimetres(steps["medium"])
+    return steps
+
+
+def in_millimetres(step):
+    """The same step, its metres and newtons written as millimetres and kilonewtons."""
+    return replace(
+        step,
+        factor=Factor(csc_array(1e-6 * step.stiffness)),
+        offset=1e3 * step.offset,
+        load=1e-3 * step.load,
+        weights=1e9 * step.weights,
+    )

@@ -12,18 +12,20 @@ from relax.convex.working_set import GAP, solve_on_working_set
 from relax.errors import BackendError
 
 Backend = Callable[[Subproblem, Floats], Solution]
-MANY = 120  # groups beyond which the full cone program is faster than the working set (DESIGN: some 100)
+MANY = 120  # groups that the working set may look at; beyond, the full cone program is faster (experiments/steps.py)
 WRONG = 1e-4  # relative gap above which a point is no solution
 
 
 def clarabel(step: Subproblem, start: Floats) -> Solution:
     """The full cone program, its zeros made exact on the groups that its dual certificate lets stand."""
-    return _polished(step, solve_with_clarabel(step), "clarabel", start)
+    del start  # an interior point takes no warm start
+    return polish(step, solve_with_clarabel(step), "clarabel")
 
 
 def cvxpy(step: Subproblem, start: Floats) -> Solution:
     """The readable model, its zeros made exact in the same way."""
-    return _polished(step, solve_with_cvxpy(step), "cvxpy", start)
+    del start
+    return polish(step, solve_with_cvxpy(step), "cvxpy")
 
 
 def auto(step: Subproblem, start: Floats) -> Solution:
@@ -37,8 +39,14 @@ def quick(step: Subproblem, start: Floats) -> Solution:
     return solve_on_working_set(step, start, MANY)
 
 
-def _polished(step: Subproblem, raw: Floats, name: str, start: Floats) -> Solution:
-    del start  # an interior point takes no warm start
+def polish(step: Subproblem, raw: Floats, name: str) -> Solution:
+    """A solver's amplitudes (m, 3) with their certificate, zeros made exact by the dual and the last digits by the working set.
+
+    Raises
+    ------
+    BackendError
+        The duality gap, computed here, says that they are no solution.
+    """
     rough = certify(step, raw, name)
     if not rough.gap <= WRONG:
         raise BackendError(f"{name} left a duality gap of {rough.gap:.1e} on a convex step, which is no solution")

@@ -3,7 +3,7 @@
     min over d, s   (d + r)^T M (d + r) + sum_g w_g |s_g|     s.t.   K d = h + B s
 
 K is the stiffness, h = f + g what is unbalanced without supports, r = x - xhat, B the supports' basis, three amplitudes a
-group (MATH: "One convex step"). Nothing here knows of membranes.
+group (MATHEMATICS.md, "One convex step"). Nothing here knows of membranes.
 """
 
 from dataclasses import dataclass, replace
@@ -132,7 +132,7 @@ class Solution:
 def certify(step: Subproblem, amplitudes: Floats, ran: str = "") -> Solution:
     """The certificate of any amplitudes (m, 3): value and lower bound from the step's data and one factorisation.
 
-    The bound is c^T K lam - (K lam)^T M^+ (K lam) / 4 at lam scaled into the ball (MATH), where K lam = 2 M (d + r).
+    The bound is c^T K lam - (K lam)^T M^+ (K lam) / 4 at lam scaled into the ball (MATHEMATICS.md), where K lam = 2 M (d + r).
     """
     moved = step.unsupported + step.factor.solve(step.spread(amplitudes))  # d + r
     pulled = step.metric @ moved

@@ -1,4 +1,4 @@
-"""The convex step on a working set: only candidates that matter get their columns of K^-1 (MATH, "One convex step").
+"""The convex step on a working set: only candidates that matter get their columns of K^-1 (MATHEMATICS.md, "One convex step").
 
 Candidates whose dual leaves the ball enter, the duality gap of the whole step says when to stop.
 """

@@ -1,4 +1,4 @@
-"""Supports as things that are built: masts, tie-downs and stays with head, foot, length and lean (MATH, "Masts and units")."""
+"""Supports as things that are built: masts, tie-downs and stays with head, foot, length and lean (MATHEMATICS.md, "Masts")."""
 
 from dataclasses import dataclass
 

@@ -57,7 +57,7 @@ def judge(problem: Problem, positions: Floats, forces: Floats, refit: str = "pen
     distance, sparsity = problem.distance(positions), problem.sparsity(amplitudes)
     tension = membrane.tension(positions)
     length = membrane.edge_state(positions).length
-    factor = Factor(membrane.stiffness(positions))
+    factor = problem.factor_at(positions)
     equilibrium = _equilibrium(problem, positions, nodal, tension)
     stationarity, off_support = _optimality(problem, positions, amplitudes, factor, refit)
     slack = _slack_share(problem, length)
@@ -110,7 +110,7 @@ def _equilibrium(problem: Problem, positions: Floats, nodal: Floats, tension: Fl
 def _optimality(
     problem: Problem, positions: Floats, amplitudes: Floats, factor: Factor, refit: str
 ) -> tuple[float | None, float | None]:
-    """Stationarity over the groups that stand, and how far the dual elsewhere is into what R allows (FORMATS)."""
+    """Stationarity over the groups that stand, and off_support over the others (MATHEMATICS.md, "The judge")."""
     if factor.singular:
         return None, None
     dual = problem.supports.amplitudes(problem.dual(positions, factor))

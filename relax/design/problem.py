@@ -123,7 +123,7 @@ class Problem:
 
     def factor_at(self, positions: Floats) -> Factor:
         """A factorisation of K at `positions`."""
-        return Factor(self.membrane.stiffness(positions))
+        return self.membrane.factor_at(positions)
 
     def dual(self, positions: Floats, factor: Factor) -> Floats:
         """Lam = 2 K^-1 M (x - xhat) on the free vertices (n, 3): minus the gradient that a support force would feel."""

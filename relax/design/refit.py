@@ -1,7 +1,7 @@
 """The last solve on a support: Newton with the exact Hessian on E_dist + R, or on E_dist alone (debiased).
 
 Where K is invertible, positions are a function of the support forces through equilibrium, so on a support of k groups only
-3 k numbers are unknown (MATH, "Reduced form, its gradient and its exact Hessian").
+3 k numbers are unknown (MATHEMATICS.md, "Reduced form").
 """
 
 from collections.abc import Callable
@@ -50,7 +50,7 @@ class Shape:
 @dataclass(frozen=True)
 class _State:
     shape: Shape
-    factor: Factor  # of K at the shape itself: a chord would leave its own error in the gradient
+    factor: Factor  # of K at the shape or so near that the dual could be refined to the last digits
     members: Ints
     value: float
     dual: Floats  # (n, 3)
@@ -68,10 +68,8 @@ class _Refit:
     def state(self, shape: Shape) -> _State:
         """Value and gradient at a shape."""
         problem = self.problem
-        factor = problem.factor_at(shape.positions)
-        shape = replace(shape, factor=factor, factorizations=shape.factorizations + 1)
+        shape, factor, dual = with_dual(problem, shape)
         members = np.flatnonzero(shape.amplitudes.any(axis=1))
-        dual = problem.dual(shape.positions, factor)
         standing = shape.amplitudes[members]
         size = sizes(standing)
         slope = self._strength(members) * problem.penalty.slope(size)
@@ -168,6 +166,21 @@ class _Refit:
             "note": "Newton on the support",
             "shape": state.shape,
         }
+
+
+def with_dual(problem: Problem, shape: Shape) -> tuple[Shape, Factor, Floats]:
+    """The shape with a factorisation of K at or near it, and the exact dual lam = 2 K^-1 M (x - xhat) there, (n, 3).
+
+    A factorisation from nearby serves as long as iterative refinement reaches the last digits with it; else K is factorised.
+    """
+    right = 2 * (problem.metric @ problem.offset(shape.positions).ravel())
+    if shape.factor is not None:
+        dual = shape.factor.refine(problem.membrane.stiffness(shape.positions), right)
+        if dual is not None:
+            return shape, shape.factor, dual.reshape(-1, 3)
+    factor = problem.factor_at(shape.positions)
+    shape = replace(shape, factor=factor, factorizations=shape.factorizations + 1)
+    return shape, factor, factor.solve(right).reshape(-1, 3)
 
 
 def rest(problem: Problem, guess: Shape) -> Shape | None:

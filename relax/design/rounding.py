@@ -10,7 +10,7 @@ import numpy as np
 
 from relax.arrays import Mask
 from relax.design.problem import Problem
-from relax.design.refit import Progress, Shape, refit
+from relax.design.refit import Progress, Shape, refit, with_dual
 from relax.sparsity.supports import sizes
 
 LIMIT = 50
@@ -41,9 +41,6 @@ def round_supports(problem: Problem, shape: Shape, keep: Mask, progress: Progres
 
 def _missing(problem: Problem, shape: Shape) -> Mask:
     """Candidates without a support whose dual is steeper than R allows anywhere (m,)."""
-    factor = shape.factor or problem.factor_at(shape.positions)  # refit leaves the one at its last shape
-    if factor.singular:
-        return np.zeros(len(shape.amplitudes), dtype=bool)
-    dual = problem.supports.amplitudes(problem.dual(shape.positions, factor))
+    dual = problem.supports.amplitudes(with_dual(problem, shape)[2])
     allowed = problem.group_weights(np.zeros_like(shape.amplitudes))
     return ~problem.standing(shape.amplitudes) & (sizes(dual) > allowed * SLACK)

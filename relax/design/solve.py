@@ -24,6 +24,7 @@ from relax.membrane.equilibrium import find_equilibrium
 
 STEPS = 60  # convex steps a sequence; those seen to converge took 3 to 25
 HEAVY_STEPS = 2  # under the first, heavy weights: enough to know where the few masts stand
+SAME = 1e-8  # relative difference of objectives that are one
 ROUNDS = 20  # of convex steps and rounding, while the certificate names candidates that are missing
 
 
@@ -70,7 +71,21 @@ class _Outcome:
     trouble: str = ""
 
 
-def solve(problem: Problem, start: tuple[Floats, Floats] | None = None, callback: Callback | None = None) -> Design:
+@dataclass(frozen=True)
+class _Tools:
+    """What a run works with: its journal, the back-end of a start's first steps, and that of the others."""
+
+    journal: Journal
+    rough: Backend
+    exact: Backend
+
+
+def solve(
+    problem: Problem,
+    start: tuple[Floats, Floats] | None = None,
+    backend: Backend | None = None,
+    callback: Callback | None = None,
+) -> Design:
     """The membrane closest to the wanted shape under few supports, with the scene's own [solver] and [rounding].
 
     Parameters
@@ -78,6 +93,8 @@ def solve(problem: Problem, start: tuple[Floats, Floats] | None = None, callback
     problem : Problem
     start : positions and forces (V, 3) of another result, optional
         Needed where the scene's `solver.start` names a result folder.
+    backend : function Subproblem, start -> Solution, optional
+        Solves each convex step; default: the one that the scene's `solver.backend` names.
     callback : function, optional
         Called once a step with step, objective, stationarity, supports, seconds and a note; its time is not counted.
 
@@ -88,16 +105,25 @@ def solve(problem: Problem, start: tuple[Floats, Floats] | None = None, callback
     """
     # matrices here are small or sparse: more BLAS threads than one were measured to cost a factor of six
     with threadpool_limits(1, "blas"):
-        return _solve(resolve_weight(problem), start, callback)
+        problem = resolve_weight(problem)
+        named = problem.scene.settings["solver"]["backend"]
+        if backend is None and named != "auto":
+            backend = BACKENDS[named]
+        return _solve(
+            problem, start, _Tools(Journal(problem, callback), backend or BACKENDS["quick"], backend or BACKENDS["auto"])
+        )
 
 
-def _solve(problem: Problem, start: tuple[Floats, Floats] | None, callback: Callback | None) -> Design:
-    journal = Journal(problem, callback)
+def _solve(problem: Problem, start: tuple[Floats, Floats] | None, tools: _Tools) -> Design:
+    journal = tools.journal
     outcomes: list[_Outcome] = []
     skipped: list[str] = []
     try:
         for begin in choose_starts(problem, start, skipped):
-            outcomes.append(_run(problem, begin, journal))
+            if _agree(outcomes):
+                skipped.append(f"start {begin.name}: two starts ended at the same supports")
+                break
+            outcomes.append(_run(problem, begin, tools))
         best = min(outcomes, key=lambda outcome: (not outcome.certificate.converged, outcome.certificate.objective))
         if problem.scene.settings["rounding"]["refit"] == "debiased":
             journal.stage = "debiasing"
@@ -111,28 +137,29 @@ def _solve(problem: Problem, start: tuple[Floats, Floats] | None, callback: Call
     return replace(design, skipped=tuple(skipped), factorizations=sum(each.shape.factorizations for each in outcomes))
 
 
-def _run(problem: Problem, start: Start, journal: Journal) -> _Outcome:
+def _run(problem: Problem, start: Start, tools: _Tools) -> _Outcome:
     """Convex steps and rounding from one start; a membrane that no longer stands ends them with what was reached."""
     trouble = ""
+    journal = tools.journal
     first = len(journal.shapes)
     try:
-        shape, unrounded = _steps_and_rounding(problem, start, journal)
+        shape, unrounded = _steps_and_rounding(problem, start, tools)
     except EquilibriumError as error:
         trouble = str(error)
         shape = unrounded = journal.shapes[-1] if len(journal.shapes) > first else start.shape
     return _Outcome(shape, unrounded, judge(problem, shape.positions, problem.all_forces(shape.amplitudes)), trouble)
 
 
-def _steps_and_rounding(problem: Problem, start: Start, journal: Journal) -> tuple[Shape, Shape]:
+def _steps_and_rounding(problem: Problem, start: Start, tools: _Tools) -> tuple[Shape, Shape]:
     """The rounded shape, and the one before the first rounding: until the certificate names no missing candidate."""
-    shape = start.shape
+    shape, journal = start.shape, tools.journal
     if start.weight is not None:
         constant = start.weight * problem.supports.weights
         journal.stage = f"start {start.name}, first weights"
-        shape = _sequence(SequentialConvex(problem, lambda _: constant, _backend(problem, "quick")), shape, HEAVY_STEPS, journal)
+        shape = _sequence(SequentialConvex(problem, lambda _: constant, tools.rough), shape, HEAVY_STEPS, journal)
     unrounded = None
     keep = np.zeros(len(shape.amplitudes), dtype=bool)
-    method = SequentialConvex(problem, problem.group_weights, _backend(problem, "auto"))
+    method = SequentialConvex(problem, problem.group_weights, tools.exact)
     for _ in range(ROUNDS):
         journal.stage = f"start {start.name}"
         shape = _sequence(method, shape, STEPS, journal)
@@ -147,14 +174,17 @@ def _steps_and_rounding(problem: Problem, start: Start, journal: Journal) -> tup
     return shape, unrounded or shape
 
 
-def _backend(problem: Problem, automatic: str) -> Backend:
-    """The back-end that the scene names, or the `automatic` one."""
-    named = problem.scene.settings["solver"]["backend"]
-    return BACKENDS[automatic if named == "auto" else named]
-
-
 def _sequence(method: SequentialConvex, shape: Shape, limit: int, journal: Journal) -> Shape:
     return iterate(method, State(shape), limit, journal).state.shape
+
+
+def _agree(outcomes: list[_Outcome]) -> bool:
+    """Whether two starts both converged, to the same supports and the same objective."""
+    if len(outcomes) < 2 or not all(outcome.certificate.converged for outcome in outcomes):
+        return False
+    one, other = (outcome.certificate.objective for outcome in outcomes[-2:])
+    stands, also = (outcome.shape.amplitudes != 0 for outcome in outcomes[-2:])
+    return bool(abs(one - other) <= SAME * abs(one) and np.array_equal(stands, also))
 
 
 def _judged(problem: Problem, shape: Shape) -> Certificate:

@@ -1,4 +1,4 @@
-"""Where a run may start, which decides the minimum it finds (MATH, "Starts")."""
+"""Where a run may start, which decides the minimum it finds (MATHEMATICS.md, "Starts")."""
 
 from dataclasses import dataclass, replace
 
@@ -12,7 +12,8 @@ from relax.membrane.equilibrium import find_equilibrium
 from relax.sparsity.supports import sizes
 
 PLANTED = 0.1  # share of the candidates: where fewer carry a force at the target, the target is itself a tensile surface
-HEAVY = (0.5, 0.1, 0.005)  # first weights, as shares of the largest useful one; none wins on every scene
+ROUND_OFF = 1e-9  # of the largest force: what a planted target carries everywhere else
+HEAVY = (0.5, 0.005, 0.1)  # first weights, as shares of the largest useful one; none wins on every scene
 
 
 @dataclass(frozen=True)
@@ -84,8 +85,9 @@ def given(problem: Problem, positions: Floats, forces: Floats) -> Shape | None:
 
 def is_planted(problem: Problem, shape: Shape) -> bool:
     """Whether few supports hold the target as it is, so that nothing needs to be searched for elsewhere."""
-    counted = np.count_nonzero(sizes(shape.amplitudes) > problem.penalty.resolution)
-    return problem.penalty.resolution > 0 and bool(counted <= PLANTED * len(shape.amplitudes))
+    size = sizes(shape.amplitudes)
+    counted = np.count_nonzero(size > max(problem.penalty.resolution, ROUND_OFF * size.max()))
+    return bool(counted <= PLANTED * len(size))
 
 
 def choose_starts(problem: Problem, start: tuple[Floats, Floats] | None, skipped: list[str]) -> list[Start]:
@@ -108,6 +110,11 @@ def choose_starts(problem: Problem, start: tuple[Floats, Floats] | None, skipped
     shape = at_target(problem)
     if choice == "target":
         return [Start("target", _found(shape, "near the target"))]
+    return _automatic(problem, shape, skipped)
+
+
+def _automatic(problem: Problem, shape: Shape | None, skipped: list[str]) -> list[Start]:
+    """The target's `shape` where few supports hold it or nothing else stands, else few masts first."""
     if shape is not None and is_planted(problem, shape):
         skipped.append("heavy starts: few supports hold the target as it is")
         return [Start("target", shape)]
@@ -119,7 +126,16 @@ def choose_starts(problem: Problem, start: tuple[Floats, Floats] | None, skipped
         skipped.append("heavy starts: the membrane does not stand without supports")
         return [Start("target", shape)]
     skipped.append("start at the target: its own springs ask for a support almost everywhere")
+    if not _reweights(problem):
+        skipped.append("other first weights: the penalty's own never change")
+        return [replace(starts[0], name="unsupported", weight=None)]
     return starts
+
+
+def _reweights(problem: Problem) -> bool:
+    """Whether the penalty's weight depends on the force: else every first weight leads the same way."""
+    none, huge = problem.penalty.weight(np.array([0.0, 1e30]))
+    return bool(none != huge)
 
 
 def _found(shape: Shape | None, where: str) -> Shape:

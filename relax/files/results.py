@@ -57,7 +57,7 @@ def check_output(folder: str | os.PathLike[str]) -> None:
 
 
 def write_result(
-    folder: str | os.PathLike[str], design: "Design", read_seconds: float, pictures: Mapping[str, Draw] | None = None
+    folder: str | os.PathLike[str], design: "Design", read_seconds: float = 0.0, pictures: Mapping[str, Draw] | None = None
 ) -> None:
     """Write a result folder whole, or leave what is there as it was.
 

@@ -118,7 +118,7 @@ def _given(settings: Settings) -> Settings:
 
 
 def _read_arrays(path: Path) -> Arrays:
-    """The arrays of result.npz, with the shapes and types that FORMATS gives them."""
+    """The arrays of result.npz, with the shapes and types that relax/FORMATS.md gives them."""
     content = io.BytesIO(read_bytes(path))
     arrays: Arrays = {}
     lengths: dict[str, int] = {}

@@ -4,7 +4,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.sparse import csc_array, diags_array
 
 from relax.arrays import Floats
 from relax.factor import Factor
@@ -80,11 +79,11 @@ class _Newton:
             chord = self._moved(state, state.factor.solve(state.unbalanced), 1.0)
             if chord.residual <= CHORD * state.residual:
                 return replace(chord, factor=state.factor, factorizations=state.factorizations)
-        factor = Factor(self.membrane.stiffness(state.positions))
+        factor = self.membrane.factor_at(state.positions)
         count = state.factorizations + 1
         direct = factor
         if not factor.positive_definite:
-            direct = Factor(_lifted(self.membrane, state.positions))
+            direct = self.membrane.lifted_factor_at(state.positions)
             count += 1
         found = self._search(state, direct.solve(state.unbalanced))
         return replace(found, factor=factor if factor.positive_definite else None, factorizations=count, fresh=True)
@@ -126,13 +125,6 @@ class _Newton:
 
     def record(self, state: _State) -> dict[str, float]:
         return {"residual": state.residual}
-
-
-def _lifted(membrane: Membrane, positions: Floats) -> csc_array:
-    """The taut part of K, lifted off singularity by 1e-4 of the mean spring: definite, so its step is downhill."""
-    taut = membrane.taut_stiffness(positions)
-    lift = 1e-4 * membrane.spring_constant.mean()
-    return taut + diags_array(np.full(taut.shape[0], lift), format="csc")
 
 
 def find_equilibrium(

@@ -4,9 +4,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.sparse import bsr_array, csc_array, csr_array
+from scipy.sparse import bsr_array, csc_array, csr_array, diags_array
 
 from relax.arrays import Floats, Ints, Mask, lock_arrays
+from relax.factor import Factor, block_order
 from relax.membrane.springs import Springs
 
 
@@ -77,6 +78,22 @@ class Membrane:
         pointer = np.concatenate([[0], np.cumsum(np.bincount(row, minlength=size))])
         return pointer, column[order], source[order]
 
+    @cached_property
+    def _elimination_order(self) -> Ints:
+        """Of the 3n unknowns, from the graph of the free vertices, once a mesh."""
+        pointer, column, _ = self._blocks
+        return block_order(csr_array((np.ones(len(column)), column, pointer), shape=(len(self.free),) * 2))
+
+    def factor_at(self, positions: Floats) -> Factor:
+        """A factorisation of K at `positions` (V, 3)."""
+        return Factor(self.stiffness(positions), self._elimination_order)
+
+    def lifted_factor_at(self, positions: Floats) -> Factor:
+        """The same of the taut part of K, lifted off singularity by 1e-4 of the mean spring: definite, so a step is downhill."""
+        taut = self.taut_stiffness(positions)
+        lift = diags_array(np.full(taut.shape[0], 1e-4 * self.spring_constant.mean()), format="csc")
+        return Factor(csc_array(taut + lift), self._elimination_order)
+
     def edge_vectors(self, positions: Floats) -> Floats:
         """V = x_b - x_a, (E, 3) metres."""
         return positions[self.edges[:, 1]] - positions[self.edges[:, 0]]
@@ -107,7 +124,7 @@ class Membrane:
         return -(self._incidence @ ((state.density * state.length)[:, None] * state.direction))
 
     def stiffness(self, positions: Floats) -> csc_array:
-        """K = -df/dx (3n, 3n), symmetric: edge blocks q I + (e'' - q) u u^T (MATH: stiffness block)."""
+        """K = -df/dx (3n, 3n), symmetric: edge blocks q I + (e'' - q) u u^T (MATHEMATICS.md, "Membrane")."""
         state = self.edge_state(positions)
         outer = state.direction[:, :, None] * state.direction[:, None, :]
         blocks = (state.stiffness - state.density)[:, None, None] * outer
@@ -122,7 +139,7 @@ class Membrane:
         return self._assemble((np.maximum(state.stiffness, pull) - pull)[:, None, None] * outer + pull[:, None, None] * np.eye(3))
 
     def stiffness_turn(self, positions: Floats, along: Floats) -> csc_array:
-        """T (3n, 3n): the derivative of K @ along with respect to the positions (MATH, "exact Hessian").
+        """T (3n, 3n): the derivative of K @ along with respect to the positions (MATHEMATICS.md, "Reduced form").
 
         `along` is (n, 3); fixed vertices do not move. With s = e'' - q, w the edge vector of `along`:
         (s / l) [(u.w)(I - 3 u u^T) + w u^T + u w^T] + e''' (u.w) u u^T.

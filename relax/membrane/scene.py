@@ -96,7 +96,7 @@ def build_scene(settings: Settings, mesh: Mesh, target: Floats, rest: Floats | N
 
     Parameters
     ----------
-    settings : sections and keys of FORMATS, complete; `supports.ground` and the penalty are filled in by the caller
+    settings : sections and keys of relax/FORMATS.md, complete; `supports.ground` and the penalty are filled in by the caller
     mesh : Mesh
     target : (V, 3) metres
         Clean target; noise is added here, last.
@@ -190,7 +190,7 @@ def _rest_shape(settings: Settings, mesh: Mesh, target: Floats, rest: Floats | N
 
 
 def _springs(membrane: Mapping[str, Any], mesh: Mesh, shape: Floats) -> tuple[Floats, Floats]:
-    """Rest lengths and spring constants (E,); see MATH, "Material"."""
+    """Rest lengths and spring constants (E,); see MATHEMATICS.md, "Membrane"."""
     a, b = mesh.edges.T
     measured = np.linalg.norm(shape[b] - shape[a], axis=1)
     if not measured.all():

@@ -1,0 +1,174 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import zoo
+
+from relax.convex.backends import auto, clarabel
+from relax.design.optimality import judge
+from relax.design.problem import Problem
+from relax.design.solve import solve
+from relax.design.starts import at_target, choose_starts, given, is_planted, largest_weight, resolve_weight, unsupported
+from relax.errors import EquilibriumError, InputError
+from relax.sparsity.penalties import GroupLasso, Power
+
+LASSO = {"penalty__name": "group-lasso", "penalty__weight": 1e-2}
+
+
+def noisy(**changes):
+    return zoo.planted(7, zoo.TWO_MASTS, sigma=0.01, **changes).scene
+
+
+def dome():
+    """Cut to measure on the target itself, of fabric that cannot push: lying flat it is slack through and through."""
+    fabric = {"membrane__rest": "target", "membrane__rest_scale": 0.98, "membrane__springs": "tension-only"}
+    return zoo.grid_scene(5, lambda x, y: 3 * zoo.hill(x, y), **fabric)
+
+
+def unbalanced(problem, shape):
+    return problem.membrane.forces(shape.positions) + problem.supports.forces(shape.amplitudes) + problem.loads
+
+
+@pytest.mark.parametrize("backend", [auto, clarabel])
+@pytest.mark.parametrize("loads", [[0, 0, 0], [0.02, 0, -0.05]])
+def test_just_above_the_largest_weight_nothing_stands_and_just_below_something_does(backend, loads):
+    scene = replace(noisy(membrane__loads=loads, **LASSO), support_weight=np.linspace(0.5, 2, 49))
+    problem = Problem(scene)
+    shape = unsupported(problem)
+    top = largest_weight(problem, shape)
+    for factor, count in ((1 + 1e-6, 0), (1 - 1e-4, 1)):
+        weights = factor * top * problem.supports.weights
+        solution = backend(problem.linearised(shape.positions, shape.factor, weights), shape.amplitudes)
+        assert solution.standing.sum() == count
+    # and so the whole way: the answer at these weights, not one convex step
+    assert solve(problem.replace(weight=top * (1 + 1e-6))).certificate.supports == 0
+    assert solve(problem.replace(weight=top * (1 - 1e-3))).certificate.supports == 1
+
+
+@pytest.mark.parametrize("penalty", [GroupLasso(), Power(0.5, 1e-6), Power(0.8, 1e-4), Power(1.0, 1e-6)])
+def test_a_weight_fraction_is_a_share_of_where_no_support_passes_the_judges_dual_test(penalty):
+    scene = noisy(penalty__weight=None, penalty__weight_fraction=0.25)
+    problem = resolve_weight(Problem(scene, penalty))
+    shape = unsupported(problem)
+    bare = np.zeros_like(scene.target)
+    assert judge(problem, shape.positions, bare).off_support == pytest.approx(4.0, rel=1e-9)
+    assert judge(problem.replace(weight=4 * problem.weight), shape.positions, bare).converged
+    assert resolve_weight(problem) is problem
+
+
+def test_a_weight_that_is_given_stays_and_a_run_resolves_its_own():
+    problem = Problem(noisy(penalty__weight=0.5))
+    assert resolve_weight(problem) is problem
+    scene = noisy(penalty__weight=None, penalty__weight_fraction=0.3)
+    design = solve(Problem(scene))
+    assert design.problem.weight == design.settings["penalty"]["weight"] == resolve_weight(Problem(scene)).weight
+    assert design.settings["penalty"]["weight_fraction"] == 0.3 and scene.settings["penalty"]["weight"] is None
+    assert design.certificate.converged and design.certificate.supports > 0
+
+
+def test_the_unsupported_membrane_rests_and_carries_nothing():
+    problem = Problem(noisy(membrane__loads=[0.02, 0, -0.05]))
+    shape = unsupported(problem)
+    assert not shape.amplitudes.any()
+    assert np.abs(unbalanced(problem, shape)).max() < 1e-12
+    assert shape.factor.positive_definite and shape.factorizations >= 1
+
+
+def test_a_membrane_that_does_not_stand_by_itself_is_no_start():
+    with pytest.raises(EquilibriumError, match="the membrane without supports does not stand by itself"):
+        unsupported(Problem(dome()))
+
+
+def test_at_the_target_every_force_is_what_its_springs_ask_for():
+    planted = zoo.planted(7, zoo.TWO_MASTS)
+    problem = Problem(planted.scene)
+    shape = at_target(problem)
+    np.testing.assert_allclose(shape.positions, planted.positions, atol=1e-12)
+    np.testing.assert_allclose(problem.supports.forces(shape.amplitudes), planted.forces[problem.membrane.free], atol=1e-12)
+    assert is_planted(problem, shape)
+    # with noise a force is asked for everywhere, and the target itself is still at rest
+    problem = Problem(noisy())
+    shape = at_target(problem)
+    np.testing.assert_array_equal(shape.positions, problem.scene.target)
+    assert problem.standing(shape.amplitudes).all() and not is_planted(problem, shape)
+    assert np.abs(unbalanced(problem, shape)).max() < 1e-12
+
+
+def test_where_candidates_are_few_the_target_is_met_as_nearly_as_they_allow():
+    problem = Problem(noisy(supports__candidates=[24, 25]))
+    shape = at_target(problem)
+    assert shape.amplitudes.shape == (2, 3) and np.abs(unbalanced(problem, shape)).max() < 1e-12
+    assert problem.distance(shape.positions) > 0
+
+
+def test_without_a_resolution_nothing_counts_as_planted():
+    planted = zoo.planted(7, **LASSO)
+    problem = Problem(planted.scene)
+    assert not is_planted(problem, at_target(problem))
+
+
+def test_a_given_shape_is_brought_to_rest_with_this_scenes_candidates():
+    planted = zoo.planted(7, zoo.TWO_MASTS)
+    problem = Problem(planted.scene)
+    rough = planted.positions + 0.01 * np.cos(np.arange(147).reshape(49, 3))
+    shape = given(problem, rough, planted.forces)
+    np.testing.assert_allclose(shape.positions, planted.positions, atol=1e-10)
+    np.testing.assert_allclose(problem.supports.forces(shape.amplitudes), planted.forces[problem.membrane.free])
+    kept, gone = planted.vertices
+    less = Problem(zoo.planted(7, zoo.TWO_MASTS, supports__never=[int(gone)]).scene)
+    shape = given(less, rough, planted.forces)
+    forces = less.all_forces(shape.amplitudes)
+    assert np.flatnonzero(forces.any(axis=1)).tolist() == [kept]
+    assert np.abs(unbalanced(less, shape)).max() < 1e-12
+
+
+@pytest.mark.parametrize(
+    ("choice", "sigma", "names", "skipped"),
+    [
+        ("auto", None, ["target"], "heavy starts: few supports"),
+        ("auto", 0.01, ["heavy 0.5", "heavy 0.1", "heavy 0.005"], "start at the target: "),
+        ("target", 0.01, ["target"], None),
+        ("heavy", None, ["heavy 0.5", "heavy 0.1", "heavy 0.005"], None),
+    ],
+)
+def test_which_starts_a_run_looks_at_and_what_it_says_of_the_others(choice, sigma, names, skipped):
+    problem = Problem(zoo.planted(7, sigma=sigma, solver__start=choice).scene)
+    said = []
+    starts = choose_starts(problem, None, said)
+    assert [start.name for start in starts] == names
+    assert [sentence[: len(skipped or "")] for sentence in said] == ([skipped] if skipped else [])
+    if len(starts) > 1:
+        top = largest_weight(problem, unsupported(problem))
+        assert [start.weight / top for start in starts] == pytest.approx([0.5, 0.1, 0.005])
+
+
+def test_where_the_bare_membrane_does_not_stand_the_target_is_the_start_and_that_is_said():
+    problem = Problem(dome())
+    said = []
+    assert [start.name for start in choose_starts(problem, None, said)] == ["target"]
+    assert said == ["heavy starts: the membrane does not stand without supports"]
+
+
+def test_a_start_that_is_a_folder_needs_its_arrays():
+    problem = Problem(zoo.planted(5, solver__start="../other").scene)
+    with pytest.raises(InputError, match=r"solver.start is '../other'"):
+        choose_starts(problem, None, [])
+    planted = zoo.planted(5)
+    (start,) = choose_starts(problem, (planted.positions, planted.forces), [])
+    assert (start.name, start.weight) == ("given", None)
+
+
+def test_a_target_at_which_the_stiffness_is_singular_does_not_end_the_run():
+    """Tension-only, all edges of one vertex slack at the target and no candidate near it: K has no inverse there."""
+    mesh, flat = zoo.grid(7)
+    target = flat.copy()
+    near = [16, 17, 18, 23, 24, 25, 30, 31, 32]
+    target[near] = flat[24] + 0.3 * (flat[near] - flat[24])
+    target[10, 2] = 0.1
+    changes = {"membrane__springs": "tension-only", "supports__candidates": [10, 38], "membrane__rest_scale": 0.9}
+    scene = zoo.build_scene(zoo.settings(**changes), mesh, target, flat)
+    problem = Problem(scene)
+    assert problem.factor_at(target).singular
+    assert at_target(problem) is None or np.abs(unbalanced(problem, at_target(problem))).max() < 1e-10
+    design = solve(problem)
+    assert design.certificate.converged and design.certificate.equilibrium <= 1e-10
