@@ -10,6 +10,7 @@ from scipy.sparse.linalg import SuperLU, splu
 from relax.arrays import Floats, Ints
 from relax.errors import EquilibriumError
 
+VANISHED = 1e-13  # of a diagonal entry: a pivot below it is what cancellation leaves of zero
 REFINEMENTS = 8  # solves that a refinement may take; a factorisation costs some twenty
 CONTRACTION = 0.1
 ROUND_OFF = 1e-15  # of the right-hand side: residuals below are noise
@@ -42,11 +43,16 @@ class Factor:
 
     @cached_property
     def positive_definite(self) -> bool:
-        """Whether every pivot is positive (Sylvester: the signs of D are the inertia as long as the order was kept)."""
+        """Whether every pivot is positive (Sylvester: the signs of D are the inertia as long as the order was kept).
+
+        A pivot that is round-off beside its own diagonal entry counts as zero: the matrix is singular.
+        """
         factor = self._symmetric
         if factor is None or not np.array_equal(factor.perm_r, factor.perm_c):
             return False
-        return bool((factor.U.diagonal() > 0).all())
+        diagonal = self.matrix.diagonal()
+        own = diagonal if self.order is None else diagonal[self.order]
+        return bool((factor.U.diagonal()[factor.perm_c] > VANISHED * own).all())
 
     @cached_property
     def _engine(self) -> SuperLU | None:

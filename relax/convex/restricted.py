@@ -15,6 +15,7 @@ from relax.iterate import Stop, iterate
 
 ACCURACY = 1e-12  # gradient relative to the weights
 ENOUGH = 1e-9  # where round-off ends on neighbouring candidates, whose columns are nearly parallel
+SAME = 1e-13  # relative difference of values that is round-off
 WARM = 12  # Newton steps that a good start needs at most; more means a hard step
 LIMIT = 60
 
@@ -128,7 +129,9 @@ def solve_restricted(quadratic: Floats, linear: Floats, weights: Floats, start: 
     rough = problem.state(_small_cone_program(quadratic, linear, weights))
     stands = np.linalg.norm(rough.gradient, axis=1) >= (1 - 1e-4) * weights
     fine = iterate(problem, problem.state(np.where(stands[:, None], rough.amplitudes, 0.0)), LIMIT).state
-    return min((near, rough, fine), key=lambda state: state.value).amplitudes
+    least = min(near.value, rough.value, fine.value)
+    level = least + SAME * abs(least)
+    return min((state for state in (near, rough, fine) if state.value <= level), key=lambda state: state.residual).amplitudes
 
 
 def _small_cone_program(quadratic: Floats, linear: Floats, weights: Floats) -> Floats:

@@ -76,9 +76,9 @@ class Subproblem:
         return replace(self, metric=self.metric * (1 + damping), offset=self.offset / (1 + damping))
 
     def scaled(self) -> tuple["Subproblem", float]:
-        """The step in units of its own (K of order one, offsets up to one), and newtons per unit of amplitude."""
-        length = float(np.abs(self.offset).max()) or 1.0
+        """The step in units of its own (K and displacements of order one), and newtons per unit of amplitude."""
         spring = float(self.stiffness.diagonal().mean())
+        length = float(np.abs(self.offset).max() + np.abs(self.load).max() / spring) or 1.0
         force = spring * length
         inner = Subproblem(
             Factor(csc_array(self.stiffness / spring)),

@@ -102,11 +102,12 @@ class Membrane:
         """Lengths, directions, force densities and axial stiffness at `positions` (V, 3)."""
         vector = self.edge_vectors(positions)
         length = np.sqrt(np.einsum("ij,ij->i", vector, vector))
-        # an edge that shrank to a point has no direction; its pull is then 0 and so is its density
-        safe = np.maximum(length, np.finfo(float).tiny)
         tension = self.springs.tension(length, self.rest_length, self.spring_constant)
         stiffness = self.springs.stiffness(length, self.rest_length, self.spring_constant)
-        return EdgeState(length, vector / safe[:, None], tension / safe, stiffness)
+        # an edge that shrank to a point pulls nowhere; for a force density the limit of tension / length is e''
+        point = length == 0
+        safe = np.where(point, 1.0, length)
+        return EdgeState(length, vector / safe[:, None], np.where(point, stiffness, tension / safe), stiffness)
 
     def tension(self, positions: Floats) -> Floats:
         """Tension of each edge (E,) newtons."""
@@ -152,7 +153,7 @@ class Membrane:
         uw = np.einsum("ij,ij->i", u, w)[:, None, None]
         outer = u[:, :, None] * u[:, None, :]
         mixed = w[:, :, None] * u[:, None, :]
-        length = np.maximum(state.length, np.finfo(float).tiny)
+        length = np.where(state.length == 0, 1.0, state.length)
         rate = ((state.stiffness - state.density) / length)[:, None, None]
         slope = self.springs.stiffness_slope(state.length, self.rest_length, self.spring_constant)[:, None, None]
         blocks = rate * (uw * (np.eye(3) - 3 * outer) + mixed + mixed.transpose(0, 2, 1)) + slope * uw * outer

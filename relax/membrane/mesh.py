@@ -9,7 +9,7 @@ from scipy.sparse.csgraph import connected_components
 from relax.arrays import Floats, Ints, Mask, lock_arrays
 from relax.errors import InputError
 
-CORNER_TURN = np.radians(30.0)  # an outline turns less than this at each vertex of a circle drawn with 12 or more
+CORNER_TURN = np.radians(30.0) * (1 + 1e-9)  # a circle drawn with 12 vertices or more has no corners, round-off or not
 
 
 @dataclass(frozen=True)
