@@ -19,7 +19,9 @@ from relax.sparsity.supports import sizes
 Progress = Callable[[Record], None]
 AIM = 1e-12  # stationarity at which Newton stops at once
 LIMIT = 60
-HALVINGS = 30
+HALVINGS = 12  # a step that must be shorter than 1/4000 of Newton's leads nowhere
+NOISE = 1e-13  # of the value: round-off
+VISIBLE = 1e3  # times the noise: a fall that can be seen
 IDLE = 1e-6  # relative decrease of the value that counts as a gain, if the step was not shorter than this share of Newton's:
 SHORT = 0.1
 PATIENCE = 6  # steps in a row without a gain: the way ends at a shape that would not stand
@@ -56,6 +58,7 @@ class _State:
     dual: Floats  # (n, 3)
     gradient: Floats  # (k, 3) on the members
     residual: float
+    fresh: bool  # the factorisation was made at this very shape
     idle: int = 0  # steps in a row that gained next to nothing
     stuck: bool = False
 
@@ -67,7 +70,7 @@ class _Refit:
 
     def state(self, shape: Shape) -> _State:
         """Value and gradient at a shape."""
-        problem = self.problem
+        problem, nearby = self.problem, shape.factor
         shape, factor, dual = with_dual(problem, shape)
         members = np.flatnonzero(shape.amplitudes.any(axis=1))
         standing = shape.amplitudes[members]
@@ -77,7 +80,8 @@ class _Refit:
         costs = problem.group_costs(sizes(shape.amplitudes))[members]
         scale = float((costs / size).max()) if members.size else 1.0
         residual = float(sizes(gradient).max()) / scale if members.size else 0.0
-        return _State(shape, factor, members, self._value(shape.positions, shape.amplitudes), dual, gradient, residual)
+        value = self._value(shape.positions, shape.amplitudes)
+        return _State(shape, factor, members, value, dual, gradient, residual, factor is not nearby)
 
     def _strength(self, members: Ints) -> Floats:
         return self.share * self.problem.strength * self.problem.supports.weights[members]
@@ -86,13 +90,26 @@ class _Refit:
         return self.problem.distance(positions) + self.share * self.problem.sparsity(amplitudes)
 
     def step(self, state: _State) -> _State:
+        """A Newton step; one that gains nothing by a factorisation from nearby is tried again with one made here."""
+        moved = self._newton(state)
+        if not state.fresh and (moved.idle > state.idle or moved.stuck):
+            here = self.state(replace(state.shape, factor=None))
+            moved = self._newton(replace(here, idle=state.idle))
+        return moved
+
+    def _newton(self, state: _State) -> _State:
         columns = self._columns(state)
         curvature = 2 * self.problem.metric - self.problem.membrane.stiffness_turn(state.shape.positions, state.dual)
         hessian = columns.T @ (curvature @ columns) + self._penalty_hessian(state)
         values, vectors = np.linalg.eigh(0.5 * (hessian + hessian.T))
         # R bends downwards along each force and the membrane's own curvature may too: reflect, so that the step descends
         size = np.maximum(np.abs(values), 1e-13 * np.abs(values).max())
-        delta = -vectors @ ((vectors.T @ state.gradient.ravel()) / size)
+        slopes = vectors.T @ state.gradient.ravel()
+        steps = -slopes / size
+        if values[0] < 0 and slopes @ slopes < VISIBLE * NOISE * abs(state.value) * size[0]:
+            # at a saddle the slope is lost in round-off: go down its steepest bend far enough for the value to show it
+            steps[0] += np.copysign(np.sqrt(2 * VISIBLE * NOISE * abs(state.value) / size[0]), -slopes[0])
+        delta = vectors @ steps
         return self._search(state, delta.reshape(-1, 3), columns)
 
     def _columns(self, state: _State) -> Floats:
@@ -122,7 +139,7 @@ class _Refit:
         descent = float(np.vdot(state.gradient, delta))
         s = shape.amplitudes[members]
         turned = np.einsum("ij,ij->i", s, s + delta) <= 0
-        noise = 1e-13 * abs(state.value)
+        noise = NOISE * abs(state.value)
         length = 1.0
         for _ in range(HALVINGS):
             for leave in [True, False] if turned.any() and self.share else [False]:

@@ -14,6 +14,7 @@ from relax.design.refit import Progress, Shape, refit, with_dual
 from relax.sparsity.supports import sizes
 
 LIMIT = 50
+SEAT = 1e-3  # of the largest force: where Newton on R starts with a support that is missing
 SLACK = 1 + 1e-7  # round-off of a dual; the judge allows 1e-6
 
 
@@ -37,6 +38,15 @@ def round_supports(problem: Problem, shape: Shape, keep: Mask, progress: Progres
             break
         shape = replace(shape, amplitudes=np.where(small[:, None], 0.0, shape.amplitudes))
     return Rounded(shape, before & ~problem.standing(shape.amplitudes), _missing(problem, shape))
+
+
+def seated(problem: Problem, shape: Shape, missing: Mask) -> Shape:
+    """The shape with a first small force at each group in `missing` (m,), along which the value falls."""
+    dual = problem.supports.amplitudes(with_dual(problem, shape)[2])[missing]
+    seat = SEAT * float(sizes(shape.amplitudes).max(initial=0.0)) or problem.penalty.resolution
+    amplitudes = shape.amplitudes.copy()
+    amplitudes[missing] = -seat * dual / sizes(dual)[:, None]
+    return replace(shape, amplitudes=amplitudes)
 
 
 def _missing(problem: Problem, shape: Shape) -> Mask:

@@ -34,6 +34,7 @@ class State:
     settled: bool = False  # the same supports stood after the last step as before it, or it gained next to nothing
     note: str = ""
     exhausted: bool = False
+    failure: str = ""  # why the back-end gave no step
 
 
 @dataclass(frozen=True)
@@ -65,7 +66,7 @@ class SequentialConvex:
             try:
                 solution = self.backend(subproblem.damped(damping), shape.amplitudes)
             except BackendError as error:
-                return replace(state, shape=shape, exhausted=True, note=str(error))
+                return replace(state, shape=shape, exhausted=True, failure=str(error))
             promised = before - self._model(subproblem, solution.displacement, solution.amplitudes)
             if promised <= ENOUGH * before:
                 return replace(state, shape=shape, exhausted=True, note=f"{solution.ran}, nothing more to gain")

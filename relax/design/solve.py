@@ -14,7 +14,7 @@ from relax.design.masts import Mast, standing_masts
 from relax.design.optimality import Certificate, judge
 from relax.design.problem import Problem
 from relax.design.refit import Shape, refit
-from relax.design.rounding import round_supports
+from relax.design.rounding import round_supports, seated
 from relax.design.sequential import SequentialConvex, State
 from relax.design.starts import Start, choose_starts, resolve_weight
 from relax.design.trace import Callback, Journal, Trace
@@ -25,7 +25,7 @@ from relax.membrane.equilibrium import find_equilibrium
 STEPS = 60  # convex steps a sequence; those seen to converge took 3 to 25
 HEAVY_STEPS = 2  # under the first, heavy weights: enough to know where the few masts stand
 SAME = 1e-8  # relative difference of objectives that are one
-ROUNDS = 20  # of convex steps and rounding, while the certificate names candidates that are missing
+ROUNDS = 8  # of convex steps and rounding, while the certificate names candidates that are missing; 1 to 4 were seen to do
 
 
 @dataclass(frozen=True)
@@ -160,22 +160,31 @@ def _steps_and_rounding(problem: Problem, start: Start, tools: _Tools) -> tuple[
     unrounded = None
     keep = np.zeros(len(shape.amplitudes), dtype=bool)
     method = SequentialConvex(problem, problem.group_weights, tools.exact)
+    tried: set[bytes] = set()
     for _ in range(ROUNDS):
         journal.stage = f"start {start.name}"
         shape = _sequence(method, shape, STEPS, journal)
         unrounded = unrounded or shape
         journal.stage = f"start {start.name}, rounding"
         result = round_supports(problem, shape, keep, journal)
+        if result.missing.any() and problem.standing(result.shape.amplitudes).tobytes() in tried:
+            # the convex steps leave them out each time, since a reweighted norm is not R: let Newton on R try them
+            keep = keep | result.missing
+            result = round_supports(problem, seated(problem, result.shape, result.missing), keep, journal)
         shape = result.shape
         if not result.missing.any():
             break
+        tried.add(problem.standing(shape.amplitudes).tobytes())
         # what was dropped for its size and is missed at once stays: else the two would take turns for ever
         keep = keep | (result.dropped & result.missing)
     return shape, unrounded or shape
 
 
 def _sequence(method: SequentialConvex, shape: Shape, limit: int, journal: Journal) -> Shape:
-    return iterate(method, State(shape), limit, journal).state.shape
+    state = iterate(method, State(shape), limit, journal).state
+    if state.failure:
+        journal.notes[-1] += f"; then {state.failure}"
+    return state.shape
 
 
 def _agree(outcomes: list[_Outcome]) -> bool:
@@ -206,7 +215,8 @@ def _best_so_far(problem: Problem, outcomes: list[_Outcome], journal: Journal) -
 
 def _design(problem: Problem, best: _Outcome, journal: Journal, stop: str) -> Design:
     settings: dict[str, Any] = copy.deepcopy(dict(problem.scene.settings))
-    settings["penalty"]["weight"] = problem.weight
+    used = {key: getattr(problem.penalty, key, None) for key in settings["penalty"] if key != "weight_fraction"}
+    settings["penalty"] |= used | {"weight": problem.weight}
     return Design(
         problem=problem,
         settings=settings,

@@ -75,7 +75,8 @@ class _Newton:
         return _State(positions, unbalanced, residual, np.inf, factor)
 
     def step(self, state: _State) -> _State:
-        if state.factor is not None and state.residual <= CHORD * state.before:
+        usable = state.factor is not None and state.factor.positive_definite
+        if state.factor is not None and usable and state.residual <= CHORD * state.before:
             chord = self._moved(state, state.factor.solve(state.unbalanced), 1.0)
             if chord.residual <= CHORD * state.residual:
                 return replace(chord, factor=state.factor, factorizations=state.factorizations)
