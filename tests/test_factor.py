@@ -3,10 +3,10 @@ import pytest
 import zoo
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.sparse import csc_array
+from scipy.sparse import csc_array, csr_array
 
 from relax.errors import EquilibriumError
-from relax.factor import Factor
+from relax.factor import Factor, block_order
 
 few = settings(derandomize=True, max_examples=100, deadline=None)
 seeds = st.integers(0, 100_000)
@@ -50,6 +50,41 @@ def test_solutions_solve_in_each_shape(seed):
     if n % 3 == 0 and n != 3:  # (3, 3) is three columns
         points = right[:, 0].reshape(-1, 3)
         assert np.array_equal(factor.solve(points), factor.solve(right[:, 0]).reshape(-1, 3))
+
+
+@few
+@given(seeds, st.booleans())
+def test_an_elimination_order_changes_nothing(seed, definite):
+    dense = sparse_symmetric(seed, definite)
+    rng = np.random.default_rng(seed)
+    plain, ordered = Factor(csc_array(dense)), Factor(csc_array(dense), rng.permutation(len(dense)))
+    assert ordered.positive_definite == plain.positive_definite
+    assert ordered.singular == plain.singular
+    right = rng.normal(size=(len(dense), 4))
+    assert np.allclose(ordered.solve(right), plain.solve(right), atol=1e-9)
+    assert np.allclose(ordered.solve(right[:, 0]), plain.solve(right[:, 0]), atol=1e-9)
+    if len(dense) % 3 == 0 and len(dense) != 3:
+        points = right[:, 0].reshape(-1, 3)
+        assert np.allclose(ordered.solve(points), plain.solve(points), atol=1e-9)
+
+
+@pytest.mark.parametrize("block", [1, 3])
+def test_the_order_of_a_graph_keeps_the_unknowns_of_a_vertex_together(block):
+    rng = np.random.default_rng(0)
+    graph = csr_array(rng.random((9, 9)) < 0.3)
+    order = block_order(csr_array((graph + graph.T).astype(float)), block).reshape(-1, block)
+    assert sorted(order[:, 0] // block) == list(range(9))
+    assert np.array_equal(order, block * (order[:, :1] // block) + np.arange(block))
+
+
+@few
+@given(seeds)
+def test_the_verdict_with_an_order_does_not_depend_on_units(seed):
+    dense = sparse_symmetric(seed, definite=True)
+    rng = np.random.default_rng(seed)
+    unit = 10 ** rng.uniform(-8, 8, len(dense))
+    factor = Factor(csc_array(unit[:, None] * dense * unit), rng.permutation(len(dense)))
+    assert factor.positive_definite == (np.linalg.eigvalsh(dense)[0] > 0)
 
 
 @pytest.mark.parametrize("smallest", [1e-8, -1e-8, -1.0])
@@ -117,9 +152,24 @@ def test_a_membrane_that_nothing_holds_is_singular(seed):
     loose = type(scene.membrane)(
         scene.mesh.edges, scene.rest_length, scene.spring_constant, scene.membrane.springs, np.zeros(25, dtype=bool)
     )
-    factor = Factor(loose.stiffness(scene.target))
-    assert factor.singular
-    assert not factor.positive_definite
+    for factor in (Factor(loose.stiffness(scene.target)), loose.factor_at(scene.target)):
+        assert factor.singular
+        assert not factor.positive_definite
+
+
+@few
+@given(seeds, st.booleans())
+def test_refinement_solves_a_matrix_nearby_and_says_when_it_is_too_far(seed, definite):
+    dense = sparse_symmetric(seed, definite)
+    rng = np.random.default_rng(seed)
+    right, factor = rng.normal(size=len(dense)), Factor(csc_array(dense))
+    near = dense + 1e-2 * np.abs(np.linalg.eigvalsh(dense)).min() * spectrum(seed, rng.uniform(-1, 1, len(dense)))
+    assert np.allclose(factor.refine(csc_array(near), right), np.linalg.solve(near, right), rtol=1e-9, atol=1e-11)
+    assert factor.refine(csc_array(3 * dense), right) is None
+
+
+def test_a_singular_matrix_refines_nothing():
+    assert Factor(csc_array(np.zeros((2, 2)))).refine(csc_array(np.eye(2)), np.ones(2)) is None
 
 
 def test_no_answer_is_a_sentence():

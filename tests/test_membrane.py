@@ -122,6 +122,18 @@ def test_the_taut_part_never_pushes(law):
         assert values[0] > -1e-12 * values[-1]
 
 
+@every_law
+def test_factors_are_those_of_the_stiffness(law):
+    membrane, x, rng = bent(law)
+    right = rng.normal(size=(len(membrane.free), 3))
+    assert np.array_equal(membrane.factor_at(x).matrix.toarray(), membrane.stiffness(x).toarray())
+    for factor in (membrane.factor_at(x), membrane.lifted_factor_at(0.6 * x)):
+        assert np.allclose(factor.matrix @ factor.solve(right).ravel(), right.ravel(), atol=1e-8)
+    assert membrane.lifted_factor_at(0.6 * x).positive_definite
+    lift = membrane.lifted_factor_at(x).matrix - membrane.taut_stiffness(x)
+    assert np.allclose(lift.toarray(), 1e-4 * membrane.spring_constant.mean() * np.eye(right.size))
+
+
 def test_tension_has_a_sign_and_force_density_is_tension_over_length():
     line = zoo.line()
     assert np.allclose(line.membrane.tension(line.start), [0.5, 1.8])

@@ -140,6 +140,11 @@ def test_a_vertex_off_its_place_is_no_equilibrium(design):
     said = compared(problem, positions, design.forces)
     assert 1e-10 < said.equilibrium < 1e-7 and not said.converged
     assert said.stationarity < 1e-6 and said.stable
+    # nothing but equilibrium is wrong
+    settings = problem.scene.settings
+    lax = replace(problem.scene, settings=settings | {"solver": settings["solver"] | {"tolerance": 1.0}})
+    assert judge(Problem(lax), design.positions, design.forces).converged
+    assert not judge(Problem(lax), positions, design.forces).converged
 
 
 def test_a_force_a_little_wrong_is_not_stationary(design):

@@ -156,9 +156,9 @@ def test_a_backend_that_fails_ends_the_sequence_with_what_was_reached():
             raise BackendError("the solver lost its way")
         return auto(step, start)
 
-    run, shapes, records = run_from(problem, unsupported(problem), lambda a: np.full(len(a), 1e-2), fails_second)
+    run, shapes, _ = run_from(problem, unsupported(problem), lambda a: np.full(len(a), 1e-2), fails_second)
     assert run.stop is Stop.CONVERGED and len(calls) == 2
-    assert run.state.exhausted and records[-1]["note"] == "the solver lost its way"
+    assert run.state.exhausted and run.state.failure == "the solver lost its way"
     assert run.state.shape.positions is shapes[1].positions and run.state.shape.amplitudes.any()
 
 

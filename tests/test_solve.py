@@ -179,7 +179,7 @@ def test_a_given_start_is_the_only_one_and_a_good_one_is_kept():
 def test_a_start_by_name_is_taken(start, named):
     planted = zoo.planted(9, sigma=0.005, penalty__weight=5e-3, solver__start=start)
     design = confirmed(solve(Problem(planted.scene)))
-    assert design.certificate.converged and design.skipped == ()
+    assert design.certificate.converged and all("two starts ended" in sentence for sentence in design.skipped)
     assert design.trace.notes[0].startswith(named)
     assert all((start == "target") == ("target" in note) for note in design.trace.notes)
 
@@ -237,11 +237,14 @@ def test_a_slack_scene_is_never_called_converged_without_being_so():
 # --- interrupts, the trace, the same digits ---
 
 
-@pytest.mark.parametrize("step", [0, 1, 3, 6, 10, 15])
+@pytest.mark.parametrize("step", [0, 1, "worse", 6])
 def test_an_interrupted_run_returns_the_best_so_far(step):
-    planted = zoo.planted(9, sigma=0.01, penalty__weight=1e-2)
+    planted = zoo.planted(7, sigma=0.01, penalty__weight=5e-3, penalty__exponent=0.8, penalty__smoothing=1e-5)
     whole = solve(Problem(planted.scene))
-    assert whole.iterations > 15 and not whole.interrupted
+    assert whole.iterations > 6 and not whole.interrupted
+    if step == "worse":
+        # under the first, heavy weights the objective may rise: then the last step is not the best one
+        step = int(np.flatnonzero(np.diff(whole.trace.objective[:6]) > 0)[0]) + 1
     seen = []
 
     def stop_at(record):
@@ -252,10 +255,7 @@ def test_an_interrupted_run_returns_the_best_so_far(step):
     design = confirmed_interrupt(solve(Problem(planted.scene), callback=stop_at))
     assert len(seen) == step + 1 == design.iterations + 1
     assert design.certificate.equilibrium <= 1e-10
-    assert design.certificate.objective <= min(record["objective"] for record in seen) * (1 + 1e-12) or "rounding" in "".join(
-        design.trace.notes
-    )
-    assert design.certificate.objective <= seen[0]["objective"]
+    assert design.certificate.objective == pytest.approx(min(record["objective"] for record in seen), rel=1e-12)
     np.testing.assert_array_equal(design.trace.objective, whole.trace.objective[: step + 1])
 
 
@@ -269,7 +269,7 @@ def test_a_run_interrupted_after_its_first_start_keeps_that_answer():
     planted = zoo.planted(9, sigma=0.01, penalty__weight=1e-2)
 
     def stop_at_second(record):
-        if "heavy 0.1" in record["note"]:
+        if "heavy 0.5" not in record["note"]:
             raise KeyboardInterrupt
 
     design = confirmed_interrupt(solve(Problem(planted.scene), callback=stop_at_second))

@@ -8,7 +8,7 @@ from relax.convex.backends import auto, clarabel
 from relax.design.optimality import judge
 from relax.design.problem import Problem
 from relax.design.solve import solve
-from relax.design.starts import at_target, choose_starts, given, is_planted, largest_weight, resolve_weight, unsupported
+from relax.design.starts import HEAVY, at_target, choose_starts, given, is_planted, largest_weight, resolve_weight, unsupported
 from relax.errors import EquilibriumError, InputError
 from relax.sparsity.penalties import GroupLasso, Power
 
@@ -101,10 +101,16 @@ def test_where_candidates_are_few_the_target_is_met_as_nearly_as_they_allow():
     assert problem.distance(shape.positions) > 0
 
 
-def test_without_a_resolution_nothing_counts_as_planted():
-    planted = zoo.planted(7, **LASSO)
-    problem = Problem(planted.scene)
+def test_a_constant_weight_needs_one_start():
+    """Group lasso: a planted target is seen through round-off alone, and elsewhere no first weight leads another way."""
+    problem = Problem(zoo.planted(7, **LASSO).scene)
+    assert is_planted(problem, at_target(problem))
+    problem = Problem(noisy(**LASSO))
     assert not is_planted(problem, at_target(problem))
+    said = []
+    (start,) = choose_starts(problem, None, said)
+    assert (start.name, start.weight) == ("unsupported", None) and not start.shape.amplitudes.any()
+    assert "other first weights: the penalty's own never change" in said
 
 
 def test_a_given_shape_is_brought_to_rest_with_this_scenes_candidates():
@@ -126,9 +132,9 @@ def test_a_given_shape_is_brought_to_rest_with_this_scenes_candidates():
     ("choice", "sigma", "names", "skipped"),
     [
         ("auto", None, ["target"], "heavy starts: few supports"),
-        ("auto", 0.01, ["heavy 0.5", "heavy 0.1", "heavy 0.005"], "start at the target: "),
+        ("auto", 0.01, [f"heavy {share:g}" for share in HEAVY], "start at the target: "),
         ("target", 0.01, ["target"], None),
-        ("heavy", None, ["heavy 0.5", "heavy 0.1", "heavy 0.005"], None),
+        ("heavy", None, [f"heavy {share:g}" for share in HEAVY], None),
     ],
 )
 def test_which_starts_a_run_looks_at_and_what_it_says_of_the_others(choice, sigma, names, skipped):
@@ -139,7 +145,7 @@ def test_which_starts_a_run_looks_at_and_what_it_says_of_the_others(choice, sigm
     assert [sentence[: len(skipped or "")] for sentence in said] == ([skipped] if skipped else [])
     if len(starts) > 1:
         top = largest_weight(problem, unsupported(problem))
-        assert [start.weight / top for start in starts] == pytest.approx([0.5, 0.1, 0.005])
+        assert [start.weight / top for start in starts] == pytest.approx(HEAVY)
 
 
 def test_where_the_bare_membrane_does_not_stand_the_target_is_the_start_and_that_is_said():

@@ -118,6 +118,7 @@ def _solve(problem: Problem, start: tuple[Floats, Floats] | None, tools: _Tools)
     journal = tools.journal
     outcomes: list[_Outcome] = []
     skipped: list[str] = []
+    spent = 0
     try:
         for begin in choose_starts(problem, start, skipped):
             if _agree(outcomes):
@@ -128,13 +129,14 @@ def _solve(problem: Problem, start: tuple[Floats, Floats] | None, tools: _Tools)
         if problem.scene.settings["rounding"]["refit"] == "debiased":
             journal.stage = "debiasing"
             shape = refit(problem, best.shape, "debiased", journal)
+            spent += shape.factorizations - best.shape.factorizations
             best = replace(best, shape=shape, certificate=_judged(problem, shape))
         stop = Stop.CONVERGED.value if best.certificate.converged else best.trouble or Stop.STALLED.value
     except KeyboardInterrupt:
         best = _best_so_far(problem, outcomes, journal)
         stop = Stop.INTERRUPTED.value
-    design = _design(problem, best, journal, stop)
-    return replace(design, skipped=tuple(skipped), factorizations=sum(each.shape.factorizations for each in outcomes))
+    spent += sum(each.shape.factorizations for each in outcomes) or best.shape.factorizations
+    return replace(_design(problem, best, journal, stop), skipped=tuple(skipped), factorizations=spent)
 
 
 def _run(problem: Problem, start: Start, tools: _Tools) -> _Outcome:

@@ -148,4 +148,5 @@ def heavy_starts(problem: Problem) -> list[Start]:
     """Few masts first: the unsupported membrane with first weights at several shares of the largest useful one."""
     shape = unsupported(problem)
     top = largest_weight(problem, shape)
-    return [Start(f"heavy {share:g}", replace(shape), share * top) for share in HEAVY]
+    starts = [Start(f"heavy {share:g}", replace(shape, factorizations=0), share * top) for share in HEAVY]
+    return [replace(starts[0], shape=shape), *starts[1:]]  # what the unsupported membrane took is counted once
