@@ -177,7 +177,7 @@ def pavilion() -> tuple[Floats, Ints]:
 
 def terrain() -> Floats:
     """Heights (rows, columns) in metres, row 0 in the north: a piece of the Jacksboro fault, smoothed, on square cells."""
-    from matplotlib.cbook import get_sample_data  # noqa: PLC0415  only this one file needs it
+    from matplotlib.cbook import get_sample_data  # only this one file needs it
 
     source = get_sample_data("jacksboro_fault_dem.npz")
     smooth = gaussian_filter(source["elevation"].astype(float), TERRAIN_BLUR)

@@ -105,9 +105,9 @@ def solve(scene: Path, output: Path | None, **options: Any) -> int:
 
     The membrane in equilibrium that comes closest to the shape in SCENE.toml, and the masts and tie-downs under it.
     """
-    from relax.design.problem import Problem  # noqa: PLC0415
-    from relax.design.solve import solve as find_design  # noqa: PLC0415
-    from relax.files import check_output, load_scene  # noqa: PLC0415
+    from relax.design.problem import Problem
+    from relax.design.solve import solve as find_design
+    from relax.files import check_output, load_scene
 
     folder = output or Path(f"{scene.stem}-result")
     check_output(folder)
@@ -140,8 +140,8 @@ def _overrides(scene: Path, options: Mapping[str, Any]) -> list[str]:
 
 def _start(path: Path, scene: "Scene") -> Any:
     """Positions and forces of the result that the scene starts from, if it names one."""
-    from relax.files import load_result  # noqa: PLC0415
-    from relax.files.scenes import start_folder  # noqa: PLC0415
+    from relax.files import load_result
+    from relax.files.scenes import start_folder
 
     folder = start_folder(path, scene)
     if folder is None:
@@ -171,10 +171,10 @@ def form(result: Path, output: Path | None, method: str, **options: Any) -> int:
 
     Forward form-finding, from the flat start under the support forces that RESULT_DIR holds.
     """
-    from relax.design.optimality import EQUILIBRIUM  # noqa: PLC0415
-    from relax.design.problem import Problem  # noqa: PLC0415
-    from relax.design.solve import form as find_shape  # noqa: PLC0415
-    from relax.files import check_output, load_result  # noqa: PLC0415
+    from relax.design.optimality import EQUILIBRIUM
+    from relax.design.problem import Problem
+    from relax.design.solve import form as find_shape
+    from relax.files import check_output, load_result
 
     if method != "newton":
         raise InputError(f"--method {method}: this method is not in this version yet; leave the option out (default newton)")
@@ -200,10 +200,10 @@ def check(result: Path, *, as_json: bool, quiet: bool) -> int:
 
     Exit status 0 if every figure of result.json agrees and the result converged, else 1.
     """
-    from relax.design.optimality import judge  # noqa: PLC0415
-    from relax.design.problem import Problem  # noqa: PLC0415
-    from relax.files import load_result  # noqa: PLC0415
-    from relax.files.stored import differing  # noqa: PLC0415
+    from relax.design.optimality import judge
+    from relax.design.problem import Problem
+    from relax.files import load_result
+    from relax.files.stored import differing
 
     stored = load_result(result)
     refit = stored.scene.settings["rounding"]["refit"]
@@ -247,8 +247,8 @@ def _progress(*, quiet: bool) -> Iterator[Callable[[Mapping[str, Any]], None] | 
 
 def _finish(design: "Design", folder: Path, read_seconds: float, options: Mapping[str, Any]) -> None:
     """Write the result, then say what it is."""
-    from relax.files import write_result  # noqa: PLC0415
-    from relax.plots.picture import draw_picture  # noqa: PLC0415
+    from relax.files import write_result
+    from relax.plots.picture import draw_picture
 
     write_result(folder, design, read_seconds, {"picture.png": lambda path: draw_picture(design, path)})
     if options["as_json"]:

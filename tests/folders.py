@@ -3,6 +3,9 @@
 from pathlib import Path
 
 import numpy as np
+import pytest
+
+from relax.errors import InputError
 
 SIZE = 7
 
@@ -19,6 +22,21 @@ def write_scene(folder: Path, text: str = "", name: str = "hill.toml") -> Path:
     path = folder / name
     path.write_text(f'[target]\nheights = "hill.npy"\nspacing = [0.2, 0.2]\n{text}', encoding="utf-8")
     return path
+
+
+def write(folder: Path, name: str, content: bytes | str) -> Path:
+    """A file with `content` in `folder`."""
+    path = folder / name
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    return path
+
+
+def refused(read) -> str:
+    """The one sentence with which `read` refuses its input."""
+    with pytest.raises(InputError) as caught:
+        read()
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
 
 
 def mutations(content: bytes, count: int, seed: int):

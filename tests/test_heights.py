@@ -6,7 +6,7 @@ import zlib
 
 import numpy as np
 import pytest
-from folders import mutations
+from folders import mutations, refused, write
 from PIL import Image
 
 from relax.errors import InputError
@@ -16,17 +16,8 @@ from relax.files.heights import read_heights
 Z = np.array([[0.0, 1.5, -2.0], [3.25, 4.0, 5.0]])
 
 
-def write(tmp_path, name, content):
-    path = tmp_path / name
-    path.write_bytes(content if isinstance(content, bytes) else content.encode())
-    return path
-
-
 def refusal(path):
-    with pytest.raises(InputError) as caught:
-        read_heights(path)
-    assert "\n" not in str(caught.value)
-    return str(caught.value)
+    return refused(lambda: read_heights(path))
 
 
 def saved(save, *arguments, **options):

@@ -1,7 +1,7 @@
 import meshio
 import numpy as np
 import pytest
-from folders import mutations
+from folders import mutations, refused, write
 
 from relax.errors import InputError
 from relax.files.meshes import read_mesh
@@ -12,17 +12,8 @@ FACES = np.array([[0, 1, 2, 3], [1, 4, 2, -1]])
 TRIANGLES = np.array([[0, 1, 2, -1], [0, 2, 3, -1], [1, 4, 2, -1]])
 
 
-def write(tmp_path, name, content):
-    path = tmp_path / name
-    path.write_bytes(content if isinstance(content, bytes) else content.encode())
-    return path
-
-
 def refusal(path):
-    with pytest.raises(InputError) as caught:
-        read_mesh(path)
-    assert "\n" not in str(caught.value)
-    return str(caught.value)
+    return refused(lambda: read_mesh(path))
 
 
 def by_meshio(path, faces=FACES, **options):

@@ -99,10 +99,8 @@ def test_millimetres_and_kilonewtons_give_the_same_supports(case):
 def test_units_matter_where_the_weight_is_not_moved_along(case):
     """The conversion of k_sparse is no formality: without it the answer is another one."""
     scene, design = case
-    if scene.settings["penalty"]["weight"] is None:
-        pytest.skip("a fraction of the largest useful weight has no unit")
     moved = in_millimetres_and_kilonewtons(scene)
-    wrong = solve(Problem(with_settings(moved, "penalty", weight=1e-3 * moved.settings["penalty"]["weight"])))
+    wrong = solve(Problem(with_settings(moved, "penalty", weight=design.settings["penalty"]["weight"], weight_fraction=None)))
     assert abs(wrong.certificate.penalty / MILLI**2 - design.certificate.penalty) > 1e-3 * design.certificate.penalty
 
 

@@ -13,6 +13,7 @@ from relax.errors import BackendError
 
 Backend = Callable[[Subproblem, Floats], Solution]
 MANY = 120  # groups that the working set may look at; beyond, the full cone program is faster (experiments/steps.py)
+COARSE = 0.01  # relative gap at which the first supports of a start are known well enough
 WRONG = 1e-4  # relative gap above which a point is no solution
 
 
@@ -35,8 +36,8 @@ def auto(step: Subproblem, start: Floats) -> Solution:
 
 
 def quick(step: Subproblem, start: Floats) -> Solution:
-    """The working set alone, as far as it got: for a step whose only use is to start another sequence."""
-    return solve_on_working_set(step, start, MANY)
+    """The working set alone, to a coarse gap or as far as it got: for a step whose only use is to start a sequence."""
+    return solve_on_working_set(step, start, MANY, COARSE)
 
 
 def polish(step: Subproblem, raw: Floats, name: str) -> Solution:

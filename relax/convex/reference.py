@@ -16,7 +16,7 @@ def solve_with_cvxpy(step: Subproblem, solver: str = "CLARABEL") -> Floats:
     BackendError
         The solver did not solve it.
     """
-    import cvxpy as cp  # noqa: PLC0415 - half a second that a run without it must not pay
+    import cvxpy as cp  # half a second that a run without it must not pay
 
     inner, unit = step.scaled()
     d = cp.Variable(len(inner.offset))

@@ -32,6 +32,7 @@ class _State:
 class _WorkingSet:
     subproblem: Subproblem
     largest: int
+    gap: float
 
     def begin(self, amplitudes: Floats) -> _State:
         nothing = certify(self.subproblem, 0 * amplitudes)
@@ -68,7 +69,7 @@ class _WorkingSet:
         return self._solved(self._enlarged(state, entering), state.solution.amplitudes)
 
     def done(self, state: _State) -> Stop | None:
-        if state.solution.gap <= GAP:
+        if state.solution.gap <= self.gap:
             return Stop.CONVERGED
         if not state.grown:
             return Stop.STALLED
@@ -78,7 +79,7 @@ class _WorkingSet:
         return {"gap": state.solution.gap, "members": len(state.members)}
 
 
-def solve_on_working_set(step: Subproblem, start: Floats, largest: int) -> Solution:
+def solve_on_working_set(step: Subproblem, start: Floats, largest: int, gap: float = GAP) -> Solution:
     """The best point of the step found with at most some `largest` candidates looked at; its gap says how good it is.
 
     Parameters
@@ -88,6 +89,8 @@ def solve_on_working_set(step: Subproblem, start: Floats, largest: int) -> Solut
         Groups that carry a force here are in the first working set.
     largest : int
         When more candidates than this matter the round ends and the full cone program should take over.
+    gap : float
+        Relative duality gap that is good enough.
     """
-    method = _WorkingSet(step, largest)
+    method = _WorkingSet(step, largest, gap)
     return iterate(method, method.begin(start), LIMIT).state.solution

@@ -85,7 +85,7 @@ def judge(problem: Problem, positions: Floats, forces: Floats, refit: str = "pen
             and stable
             and met
         ),
-        warnings=tuple(_warnings(slack, stable, met)),
+        warnings=tuple(_warnings(slack, stable=stable, met=met)),
     )
 
 
@@ -141,7 +141,7 @@ def _constraints_met(problem: Problem, forces: Floats) -> bool:
     return not forces[~problem.scene.candidates].any()
 
 
-def _warnings(slack: float, stable: bool, met: bool) -> list[str]:  # noqa: FBT001 - a private list of three findings
+def _warnings(slack: float, *, stable: bool, met: bool) -> list[str]:
     said = []
     if slack > 0:
         said.append(

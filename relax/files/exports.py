@@ -20,7 +20,7 @@ def write_obj(path: Path, positions: Floats, faces: Ints) -> None:
 
 def write_vtu(path: Path, scene: Scene, positions: Floats, forces: Floats) -> None:
     """Write faces and edges; tension is nan on faces, displacement counts from the target, forces are in newtons."""
-    import meshio  # noqa: PLC0415 - reading and solving need it not
+    import meshio  # reading and solving need it not
 
     faces = scene.mesh.faces
     triangle = faces[:, 3] < 0

@@ -216,7 +216,7 @@ def _refuse_nodata(heights: Floats, nodata: float) -> None:
 
 def _read_picture(path: Path) -> Floats:
     """Raw values of a picture of one channel, top row first; its size is looked at before it is decoded."""
-    from PIL import Image, UnidentifiedImageError  # noqa: PLC0415 - pictures alone need it
+    from PIL import Image, UnidentifiedImageError  # pictures alone need it
 
     try:
         with open_bytes(path) as content, warnings.catch_warnings():

@@ -99,7 +99,7 @@ def _read_vtk(path: Path, content: bytes) -> tuple[Floats, Polygons]:
 
 def _meshio_read(path: Path, kind: str) -> Any:
     """The file as meshio has it: without its prints, its warnings and its exit."""
-    import meshio  # noqa: PLC0415 - a tenth of a second that only the VTK family costs
+    import meshio  # a tenth of a second that only the VTK family costs
 
     silence = io.StringIO()
     try:
