@@ -13,7 +13,7 @@ from relax.errors import EquilibriumError
 VANISHED = 1e-13  # of a diagonal entry: a pivot below it is what cancellation leaves of zero
 REFINEMENTS = 8  # solves that a refinement may take; a factorisation costs some twenty
 CONTRACTION = 0.1
-ROUND_OFF = 1e-15  # of the right-hand side: residuals below are noise
+EPSILON = float(np.finfo(float).eps)
 
 
 class Factor:
@@ -97,15 +97,16 @@ class Factor:
             return None
         answer = np.zeros_like(right)
         residual, size = right, float(np.linalg.norm(right))
+        norm = float(abs(matrix).sum(axis=0).max())
         for _ in range(REFINEMENTS):
             answer = answer + self.solve(residual)
             residual = right - matrix @ answer
             before, size = size, float(np.linalg.norm(residual))
-            if size <= ROUND_OFF * float(np.linalg.norm(right)):
+            # backward stable: a factorisation of the matrix itself would leave no less
+            if size <= EPSILON * (norm * float(np.linalg.norm(answer)) + float(np.linalg.norm(right))):
                 return answer
             if size > CONTRACTION * before:
-                # no longer shrinking: round-off if it had come far enough, else too far away
-                return answer if before <= 1e3 * ROUND_OFF * float(np.linalg.norm(right)) else None
+                return None
         return None
 
 
