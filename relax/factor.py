@@ -88,6 +88,12 @@ class Factor:
         answer[self.order] = self._engine.solve(columns[self.order])
         return answer.reshape(right.shape)
 
+    def inverse_columns(self, rows: Ints) -> Floats:
+        """Columns of K^-1 (m, k) that belong to the unit forces in `rows` (k,)."""
+        right = np.zeros((self.matrix.shape[0], len(rows)))
+        right[rows, np.arange(len(rows))] = 1.0
+        return self.solve(right)
+
     def refine(self, matrix: csc_array, right: Floats) -> Floats | None:
         """A^-1 @ right for a matrix A near this one, to the last digits, by iterative refinement; right is (m,).
 

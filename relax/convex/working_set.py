@@ -44,10 +44,8 @@ class _WorkingSet:
         return self._solved(self._enlarged(empty, warm), amplitudes) if warm.size else empty
 
     def _enlarged(self, state: _State, entering: Ints) -> _State:
-        rows = self.subproblem.rows[entering].ravel()
-        right = np.zeros((len(self.subproblem.offset), rows.size))
-        right[rows, np.arange(rows.size)] = 1.0
-        columns = np.hstack([state.columns, self.subproblem.factor.solve(right)])
+        entered = self.subproblem.factor.inverse_columns(self.subproblem.rows[entering].ravel())
+        columns = np.hstack([state.columns, entered])
         quadratic = columns.T @ (self.subproblem.metric @ columns)
         return replace(state, members=np.concatenate([state.members, entering]), columns=columns, quadratic=quadratic)
 

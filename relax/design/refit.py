@@ -98,7 +98,7 @@ class _Refit:
         return moved
 
     def _newton(self, state: _State) -> _State:
-        columns = self._columns(state)
+        columns = state.factor.inverse_columns(self.problem.supports.rows[state.members].ravel())
         curvature = 2 * self.problem.metric - self.problem.membrane.stiffness_turn(state.shape.positions, state.dual)
         hessian = columns.T @ (curvature @ columns) + self._penalty_hessian(state)
         values, vectors = np.linalg.eigh(0.5 * (hessian + hessian.T))
@@ -111,13 +111,6 @@ class _Refit:
             steps[0] += np.copysign(np.sqrt(2 * VISIBLE * NOISE * abs(state.value) / size[0]), -slopes[0])
         delta = vectors @ steps
         return self._search(state, delta.reshape(-1, 3), columns)
-
-    def _columns(self, state: _State) -> Floats:
-        """K^-1 B of the members (3n, 3k)."""
-        rows = self.problem.supports.rows[state.members].ravel()
-        right = np.zeros((state.dual.size, rows.size))
-        right[rows, np.arange(rows.size)] = 1.0
-        return state.factor.solve(right)
 
     def _penalty_hessian(self, state: _State) -> Floats:
         """R's Hessian on the members: phi'' u u^T + phi'/t (I - u u^T) a group, (3k, 3k)."""
