@@ -172,11 +172,21 @@ def test_out_of_steps_in_a_slack_region():
 
 
 def test_out_of_steps_in_a_mechanism():
-    pendulum = Membrane(np.array([[0, 1]]), np.ones(1), np.ones(1), TensionOnly(), np.array([True, False]))
-    start = np.array([[0.0, 0, 0], [1.2, 0, 0]])
-    found = find_equilibrium(pendulum, start, np.array([[0.0, 0, 1]]), limit=2)
+    """Two springs in line at their rest lengths resist nothing across until they are stretched."""
+    line = Membrane(np.array([[0, 1], [1, 2]]), np.ones(2), np.ones(2), TensionOnly(), np.array([True, False, True]))
+    start = np.array([[-1.0, 0, 0], [0, 0, 0], [1, 0, 0]])
+    across = np.array([[0.0, 0, 1]])
+    found = find_equilibrium(line, start, across, limit=1)
     assert not found.found
     assert found.stop is Stop.MECHANISM
+    z = find_equilibrium(line, start, across).positions[1, 2]
+    assert 2 * (np.hypot(1, z) - 1) * z / np.hypot(1, z) == pytest.approx(1, rel=1e-12)
+
+
+def test_out_of_steps_with_nothing_amiss():
+    pendulum = Membrane(np.array([[0, 1]]), np.ones(1), np.ones(1), TensionOnly(), np.array([True, False]))
+    start = np.array([[0.0, 0, 0], [1.2, 0, 0]])
+    assert find_equilibrium(pendulum, start, np.array([[0.0, 0, 1]]), limit=2).stop is Stop.LIMIT
     found = find_equilibrium(pendulum, start, np.array([[0.0, 0, 1]]))
     assert np.allclose(found.positions[1], [0, 0, 2], atol=1e-9)
 

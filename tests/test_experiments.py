@@ -15,6 +15,7 @@ EXPERIMENTS = Path(__file__).parent.parent / "experiments"
     [
         ("scenes", {"scene", "converged", "stationarity", "inverse / forward"}),
         ("steps", {"back-end", "gap", "apart"}),
+        ("price", {"vertices", "masts", "inverse / forward", "exact", "stationarity", "converged"}),
         ("factors", {"order", "factor and pivots, s"}),
     ],
 )

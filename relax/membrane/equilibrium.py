@@ -11,7 +11,8 @@ from relax.iterate import Stop, iterate
 from relax.membrane.membrane import Membrane
 
 RESIDUAL = 1e-13  # aim, relative: what double precision reaches on meshes of 1e5 vertices
-ENOUGH = 1e-11  # below this a residual that no longer falls is round-off (a result needs 1e-10)
+ENOUGH = 1e-11  # below this a residual that no longer falls is round-off
+FOUND = 1e-10  # what a result needs
 CHORD = 0.2  # an old factor is kept while it shrinks the residual at least this much a step
 LARGEST_LIMIT = 200
 LOST = 1e4  # farther away than this many scene sizes: nothing holds it
@@ -34,7 +35,7 @@ class Equilibrium:
 
     @property
     def found(self) -> bool:
-        return self.residual <= 1e-10
+        return self.residual <= FOUND
 
 
 @dataclass(frozen=True)
@@ -153,6 +154,8 @@ def find_equilibrium(
     newton = _Newton(membrane, applied)
     run = iterate(newton, newton.begin(positions, factor), limit)
     state, stop = run.state, run.stop
-    if stop is Stop.LIMIT:
+    if state.residual <= FOUND:
+        stop = Stop.CONVERGED
+    elif stop is Stop.LIMIT and state.factor is None:
         stop = newton.reason(state)
     return Equilibrium(state.positions, state.residual, stop, run.steps, state.factorizations, state.factor)

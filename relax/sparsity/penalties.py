@@ -16,6 +16,7 @@ from typing import Protocol
 import numpy as np
 
 from relax.arrays import Floats
+from relax.errors import InputError
 
 
 class Penalty(Protocol):
@@ -82,6 +83,11 @@ class Power:
     smoothing : float
         eps in newtons squared; 0 only with alpha = 1, else the slope at 0 is infinite.
 
+    Raises
+    ------
+    InputError
+        A parameter out of its range.
+
     Notes
     -----
     phi is convex up to t1 = sqrt(eps / (1 - alpha)), where its slope is largest, and concave from there on (alpha = 1:
@@ -91,6 +97,15 @@ class Power:
     exponent: float = 0.5
     smoothing: float = 1e-6
     name: str = "power"
+
+    def __post_init__(self) -> None:
+        if not 0 < self.exponent <= 1:
+            raise InputError(f"penalty.exponent is {self.exponent}: expected a number above 0 and at most 1")
+        if not (self.smoothing > 0 or (self.smoothing == 0 and self.exponent == 1)):
+            raise InputError(
+                f"penalty.smoothing is {self.smoothing}: expected a number above 0 (0 only with exponent 1, else the slope at 0 "
+                "is infinite)"
+            )
 
     def value(self, size: Floats) -> Floats:
         half = self.exponent / 2
@@ -121,7 +136,15 @@ class Power:
 
 
 def make_penalty(name: str, exponent: float | None, smoothing: float | None) -> Penalty:
-    """The penalty of a scene's [penalty] section."""
+    """The penalty of a scene's [penalty] section.
+
+    Raises
+    ------
+    InputError
+        No penalty of this name can be made from a file alone.
+    """
+    if name == "group-lasso":
+        return GroupLasso()
     if name == "power":
         return Power(exponent if exponent is not None else 0.5, smoothing if smoothing is not None else 1e-6)
-    return GroupLasso()
+    raise InputError(f'penalty.name is {name!r}: expected "group-lasso" or "power", or hand a penalty of your own to Problem')
