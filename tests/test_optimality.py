@@ -7,7 +7,7 @@ import pytest
 import zoo
 from naive_judge import differences, naive_figures, result_arrays
 
-from relax.design.optimality import Certificate, judge, residual_scale
+from relax.design.optimality import Certificate, judge
 from relax.design.problem import Problem
 from relax.design.solve import solve
 from relax.membrane.equilibrium import find_equilibrium
@@ -121,8 +121,8 @@ def test_the_pyramid_by_hand():
         abs=1e-15,
     )
     assert judge(problem, scene.target, forces, "debiased").converged
-    assert residual_scale(problem, forces[4:]) == pytest.approx(0.5)
-    assert residual_scale(problem, 0 * forces[4:]) == 1.0
+    assert problem.slope_scale(forces[4:]) == pytest.approx(0.5)
+    assert problem.slope_scale(0 * forces[4:]) == 1.0
 
 
 def test_figures_have_the_names_of_the_format():
@@ -231,3 +231,10 @@ def test_off_support_is_one_exactly_where_the_first_support_is_allowed(design):
     steepest = (np.diff(design.problem.penalty.value(size)) / np.diff(size)).max()
     free = design.problem.supports.amplitudes(design.problem.dual(positions, design.problem.factor_at(positions)))
     assert said.off_support == pytest.approx(np.linalg.norm(free, axis=1).max() / (design.problem.weight * steepest), rel=1e-6)
+
+
+def test_a_fixed_vertex_out_of_its_place_is_not_accepted():
+    design = solve(Problem(zoo.planted(7).scene))
+    lifted = design.positions + np.array([0.0, 0.0, 7.0])
+    said = judge(design.problem, lifted, design.forces)
+    assert said.equilibrium <= 1e-10 and not said.converged and "a fixed vertex is not in its place" in said.warnings[-1]

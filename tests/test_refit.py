@@ -8,6 +8,7 @@ import zoo
 from relax.design.optimality import judge
 from relax.design.problem import Problem
 from relax.design.refit import Shape, refit, rest
+from relax.errors import EquilibriumError
 from relax.membrane.equilibrium import find_equilibrium
 from relax.sparsity.supports import sizes
 
@@ -173,12 +174,13 @@ def test_a_support_that_should_vanish_leaves():
     assert sizes(kept)[3] < 1e-9 and kept[3].any()
 
 
-def test_what_cannot_rest_comes_back_as_it_was(monkeypatch):
+def test_what_cannot_rest_is_refused_with_the_reason(monkeypatch):
     problem = problem_of("hookean")
     shape = start(problem, TWO)
     lost = replace(shape, amplitudes=shape.amplitudes * 1e6)
     monkeypatch.setattr("relax.design.refit.rest", lambda *_: None)
-    assert refit(problem, lost) is lost
+    with pytest.raises(EquilibriumError, match="finds no rest under the supports"):
+        refit(problem, lost)
 
 
 def test_nothing_stands_nothing_to_do():

@@ -380,3 +380,32 @@ def test_a_result_names_the_penalty_that_was_used_not_the_scenes(penalty, tmp_pa
     assert said["exponent"] == getattr(penalty, "exponent", None) and said["smoothing"] == getattr(penalty, "smoothing", None)
     assert Problem(load_result(tmp_path / "result").scene).penalty == penalty
     assert run(["check", str(tmp_path / "result"), "--quiet"]) == 0
+
+
+@pytest.mark.parametrize("options", [{}, {"solver__start": "heavy"}, LASSO, {"membrane__springs": "force-density"}])
+def test_a_target_that_needs_no_support_gets_none(options):
+    design = confirmed(solve(Problem(zoo.grid_scene(7, None, **options))))
+    assert design.certificate.converged and design.certificate.supports == 0
+
+
+def test_no_fraction_of_nothing():
+    scene = zoo.grid_scene(7, None, penalty__weight=None, penalty__weight_fraction=0.1)
+    with pytest.raises(InputError, match=r"penalty.weight_fraction: .* already lies on the target"):
+        solve(Problem(scene))
+
+
+def test_forming_refuses_a_force_where_none_may_act():
+    planted = zoo.planted(7)
+    vertex = int(planted.vertices[0])
+    scene = zoo.planted(7, supports__never=[vertex]).scene
+    with pytest.raises(InputError, match=f"acts at vertex {vertex}, where the scene allows none"):
+        form(Problem(scene), planted.forces)
+
+
+def test_the_stop_sentence_says_what_the_judge_did_not_accept():
+    def nothing(step, start):
+        raise BackendError("the solver has gone away")
+
+    design = solve(Problem(zoo.planted(7, sigma=0.01).scene), backend=nothing)
+    assert not design.certificate.converged
+    assert design.stop.endswith("; the solver has gone away")

@@ -32,7 +32,14 @@ def cvxpy(step: Subproblem, start: Floats) -> Solution:
 def auto(step: Subproblem, start: Floats) -> Solution:
     """The working set; where too many candidates matter for it, the full cone program."""
     solution = solve_on_working_set(step, start, MANY)
-    return solution if solution.gap <= 10 * GAP else clarabel(step, start)
+    if solution.gap <= 10 * GAP:
+        return solution
+    try:
+        return clarabel(step, start)
+    except BackendError:
+        if solution.gap <= WRONG:
+            return solution
+        raise
 
 
 def quick(step: Subproblem, start: Floats) -> Solution:

@@ -61,7 +61,7 @@ def judge(problem: Problem, positions: Floats, forces: Floats, refit: str = "pen
     equilibrium = _equilibrium(problem, positions, nodal, tension)
     stationarity, off_support = _optimality(problem, positions, amplitudes, factor, refit)
     slack = _slack_share(problem, length)
-    met = _constraints_met(problem, forces)
+    met = _constraints_met(problem, positions, forces)
     stable = factor.positive_definite
     return Certificate(
         objective=distance + sparsity,
@@ -89,16 +89,6 @@ def judge(problem: Problem, positions: Floats, forces: Floats, refit: str = "pen
     )
 
 
-def residual_scale(problem: Problem, amplitudes: Floats) -> float:
-    """sigma: the largest mean slope R_g / |s_g| of a standing support, by which stationarity is measured; 1 if none stands."""
-    size = sizes(amplitudes)
-    stands = size > 0
-    if not stands.any():
-        return 1.0
-    cost = problem.group_costs(size)
-    return float((cost[stands] / size[stands]).max())
-
-
 def _equilibrium(problem: Problem, positions: Floats, nodal: Floats, tension: Floats) -> float:
     """Largest unbalanced force at a free vertex over the largest of tensions, support forces and loads."""
     unbalanced = problem.membrane.forces(positions) + nodal + problem.loads
@@ -123,7 +113,7 @@ def _optimality(
         if refit == "debiased":
             slope = 0.0 * slope
         gradient = dual[stands] + (slope / size[stands])[:, None] * amplitudes[stands]
-        stationarity = float(sizes(gradient).max()) / residual_scale(problem, amplitudes)
+        stationarity = float(sizes(gradient).max()) / problem.slope_scale(amplitudes)
     allowed = weights * problem.penalty.weight(np.zeros_like(size))
     off_support = float((sizes(dual)[~stands] / allowed[~stands]).max(initial=0.0))
     return stationarity, off_support
@@ -136,9 +126,10 @@ def _slack_share(problem: Problem, length: Floats) -> float:
     return float(np.mean(length < problem.membrane.rest_length))
 
 
-def _constraints_met(problem: Problem, forces: Floats) -> bool:
-    """Whether supports stand at candidates only."""
-    return not forces[~problem.scene.candidates].any()
+def _constraints_met(problem: Problem, positions: Floats, forces: Floats) -> bool:
+    """Whether supports stand at candidates only, and the fixed vertices where they are fixed."""
+    scene = problem.scene
+    return not forces[~scene.candidates].any() and np.array_equal(positions[scene.fixed], scene.start[scene.fixed])
 
 
 def _warnings(slack: float, *, stable: bool, met: bool) -> list[str]:
@@ -151,5 +142,5 @@ def _warnings(slack: float, *, stable: bool, met: bool) -> list[str]:
     if not stable:
         said.append("the shape does not stand: its stiffness is not positive definite, the membrane would leave it")
     if not met:
-        said.append("a support stands where the scene allows none")
+        said.append("a support stands where the scene allows none, or a fixed vertex is not in its place")
     return said

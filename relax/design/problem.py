@@ -113,6 +113,15 @@ class Problem:
         """R_g = k_sparse c_g phi(t) of each group's force magnitude, (m,)."""
         return self.strength * self.supports.weights * self.penalty.value(size)
 
+    def slope_scale(self, amplitudes: Floats) -> float:
+        """sigma: the largest mean slope R_g / |s_g| of a standing support, by which stationarity is measured; 1 if none."""
+        size = sizes(amplitudes)
+        stands = size > 0
+        if not stands.any():
+            return 1.0
+        scale = float((self.group_costs(size)[stands] / size[stands]).max())
+        return scale or float(np.finfo(float).tiny)
+
     def objective(self, positions: Floats, amplitudes: Floats) -> float:
         """E_dist + R; it means something at equilibrium only."""
         return self.distance(positions) + self.sparsity(amplitudes)

@@ -11,6 +11,7 @@ import numpy as np
 
 from relax.arrays import Floats, Ints
 from relax.design.problem import Problem
+from relax.errors import EquilibriumError
 from relax.factor import Factor
 from relax.iterate import Record, Stop, iterate
 from relax.membrane.equilibrium import find_equilibrium
@@ -25,7 +26,7 @@ VISIBLE = 1e3  # times the noise: a fall that can be seen
 IDLE = 1e-6  # relative decrease of the value that counts as a gain, if the step was not shorter than this share of Newton's:
 SHORT = 0.1
 PATIENCE = 6  # steps in a row without a gain: the way ends at a shape that would not stand
-REST_LIMIT = 40  # Newton steps to a nearby equilibrium; one that takes more is not near, and a shorter step is cheaper
+REST_LIMIT = 20  # Newton steps to a nearby equilibrium; one that takes more is not near, and a shorter step is cheaper
 
 
 @dataclass(frozen=True)
@@ -77,9 +78,7 @@ class _Refit:
         size = sizes(standing)
         slope = self._strength(members) * problem.penalty.slope(size)
         gradient = problem.supports.amplitudes(dual)[members] + (slope / size)[:, None] * standing
-        costs = problem.group_costs(sizes(shape.amplitudes))[members]
-        scale = float((costs / size).max()) if members.size else 1.0
-        residual = float(sizes(gradient).max()) / scale if members.size else 0.0
+        residual = float(sizes(gradient).max(initial=0.0)) / problem.slope_scale(shape.amplitudes)
         value = self._value(shape.positions, shape.amplitudes)
         return _State(shape, factor, members, value, dual, gradient, residual, factor is not nearby)
 
@@ -206,9 +205,14 @@ def refit(problem: Problem, shape: Shape, mode: str = "penalised", progress: Pro
     """Newton on the forces that stand in `shape`, to stationarity; a support that the way down brings to zero leaves.
 
     `mode`: "penalised" minimises E_dist + R, "debiased" E_dist alone.
+
+    Raises
+    ------
+    EquilibriumError
+        The membrane finds no rest under these forces, or has no dual there.
     """
     method = _Refit(problem, 1.0 if mode == "penalised" else 0.0)
     rested = rest(problem, shape)
     if rested is None:
-        return shape
+        raise EquilibriumError("the membrane finds no rest under the supports that were kept: raise the prestress")
     return iterate(method, method.state(rested), LIMIT, progress).state.shape

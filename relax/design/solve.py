@@ -11,19 +11,20 @@ from threadpoolctl import threadpool_limits
 from relax.arrays import Floats
 from relax.convex.backends import BACKENDS, Backend
 from relax.design.masts import Mast, standing_masts
-from relax.design.optimality import Certificate, judge
+from relax.design.optimality import EQUILIBRIUM, OFF_SUPPORT, Certificate, judge
 from relax.design.problem import Problem
 from relax.design.refit import Shape, refit
 from relax.design.rounding import round_supports, seated
 from relax.design.sequential import SequentialConvex, State
 from relax.design.starts import Start, choose_starts, resolve_weight
 from relax.design.trace import Callback, Journal, Trace
-from relax.errors import EquilibriumError
+from relax.errors import EquilibriumError, InputError
 from relax.iterate import Stop, iterate
 from relax.membrane.equilibrium import find_equilibrium
 
 STEPS = 60  # convex steps a sequence; those seen to converge took 3 to 25
 HEAVY_STEPS = 2  # under the first, heavy weights: enough to know where the few masts stand
+CLEARLY = 1e-6  # relative: an unfinished step must be this much lower to be preferred to a finished start
 SAME = 1e-8  # relative difference of objectives that are one
 ROUNDS = 8  # of convex steps and rounding, while the certificate names candidates that are missing; 1 to 4 were seen to do
 
@@ -125,13 +126,13 @@ def _solve(problem: Problem, start: tuple[Floats, Floats] | None, tools: _Tools)
                 skipped.append(f"start {begin.name}: two starts ended at the same supports")
                 break
             outcomes.append(_run(problem, begin, tools))
-        best = min(outcomes, key=lambda outcome: (not outcome.certificate.converged, outcome.certificate.objective))
+        best = min(outcomes, key=_rank)
         if problem.scene.settings["rounding"]["refit"] == "debiased":
             journal.stage = "debiasing"
             shape = refit(problem, best.shape, "debiased", journal)
             spent += shape.factorizations - best.shape.factorizations
             best = replace(best, shape=shape, certificate=_judged(problem, shape))
-        stop = Stop.CONVERGED.value if best.certificate.converged else best.trouble or Stop.STALLED.value
+        stop = _why(best)
     except KeyboardInterrupt:
         best = _best_so_far(problem, outcomes, journal)
         stop = Stop.INTERRUPTED.value
@@ -149,7 +150,30 @@ def _run(problem: Problem, start: Start, tools: _Tools) -> _Outcome:
     except EquilibriumError as error:
         trouble = str(error)
         shape = unrounded = journal.shapes[-1] if len(journal.shapes) > first else start.shape
-    return _Outcome(shape, unrounded, judge(problem, shape.positions, problem.all_forces(shape.amplitudes)), trouble)
+    certificate = judge(problem, shape.positions, problem.all_forces(shape.amplitudes))
+    return _Outcome(shape, unrounded, certificate, trouble or journal.failure)
+
+
+def _rank(outcome: _Outcome) -> tuple[bool, bool, float]:
+    """What makes an outcome the better one: converged, at rest, then the objective (which means nothing off equilibrium)."""
+    said = outcome.certificate
+    return not said.converged, said.equilibrium > EQUILIBRIUM, said.objective
+
+
+def _why(outcome: _Outcome) -> str:
+    """The stop sentence: what the judge did not accept, and why where that is known."""
+    said = outcome.certificate
+    if said.converged:
+        return Stop.CONVERGED.value
+    if said.equilibrium > EQUILIBRIUM:
+        reason = "the membrane is not at rest"
+    elif not said.stable:
+        reason = Stop.UNSTABLE.value
+    elif said.off_support is not None and said.off_support > OFF_SUPPORT:
+        reason = "a candidate without a support would still lower the objective (off_support is above 1)"
+    else:
+        reason = Stop.STALLED.value
+    return f"{reason}; {outcome.trouble}" if outcome.trouble else reason
 
 
 def _steps_and_rounding(problem: Problem, start: Start, tools: _Tools) -> tuple[Shape, Shape]:
@@ -159,7 +183,7 @@ def _steps_and_rounding(problem: Problem, start: Start, tools: _Tools) -> tuple[
         constant = start.weight * problem.supports.weights
         journal.stage = f"start {start.name}, first weights"
         shape = _sequence(SequentialConvex(problem, lambda _: constant, tools.rough), shape, HEAVY_STEPS, journal)
-    unrounded = None
+    unrounded = best = None
     keep = np.zeros(len(shape.amplitudes), dtype=bool)
     method = SequentialConvex(problem, problem.group_weights, tools.exact)
     tried: set[bytes] = set()
@@ -175,17 +199,21 @@ def _steps_and_rounding(problem: Problem, start: Start, tools: _Tools) -> tuple[
             result = round_supports(problem, seated(problem, result.shape, result.missing), keep, journal)
         shape = result.shape
         if not result.missing.any():
+            return shape, unrounded
+        if best is not None and _objective(problem, shape) >= _objective(problem, best):
             break
+        best = shape
         tried.add(problem.standing(shape.amplitudes).tobytes())
         # what was dropped for its size and is missed at once stays: else the two would take turns for ever
         keep = keep | (result.dropped & result.missing)
-    return shape, unrounded or shape
+    return best or shape, unrounded or shape
 
 
 def _sequence(method: SequentialConvex, shape: Shape, limit: int, journal: Journal) -> Shape:
     state = iterate(method, State(shape), limit, journal).state
     if state.failure:
         journal.notes[-1] += f"; then {state.failure}"
+    journal.failure = state.failure
     return state.shape
 
 
@@ -205,14 +233,19 @@ def _judged(problem: Problem, shape: Shape) -> Certificate:
 
 
 def _best_so_far(problem: Problem, outcomes: list[_Outcome], journal: Journal) -> _Outcome:
-    """What an interrupted run can show: the best finished start, else its best step."""
-    if outcomes:
-        shape = min(outcomes, key=lambda outcome: outcome.certificate.objective).shape
-    elif journal.shapes:
-        shape = journal.shapes[int(np.argmin(journal.objective))]
-    else:
+    """What an interrupted run can show: the best finished start, or a step of another that is clearly lower (all are at rest)."""
+    if not journal.shapes:
         raise KeyboardInterrupt
+    shape = journal.shapes[int(np.argmin(journal.objective))]
+    if outcomes:
+        done = min(outcomes, key=_rank)
+        if _objective(problem, shape) >= (1 - CLEARLY) * done.certificate.objective:
+            shape = done.shape
     return _Outcome(shape, shape, _judged(problem, shape))
+
+
+def _objective(problem: Problem, shape: Shape) -> float:
+    return problem.objective(shape.positions, shape.amplitudes)
 
 
 def _design(problem: Problem, best: _Outcome, journal: Journal, stop: str) -> Design:
@@ -239,7 +272,18 @@ def form(problem: Problem, forces: Floats, callback: Callback | None = None) -> 
     """Forward form-finding by Newton from the scene's flat start under given support forces (V, 3) newtons.
 
     The design's certificate says whether the shape found is in equilibrium and stands; `stop` says why where it is not.
+
+    Raises
+    ------
+    InputError
+        A force at a vertex that is no candidate.
     """
+    stray = np.flatnonzero(forces.any(axis=1) & ~problem.scene.candidates)
+    if stray.size:
+        raise InputError(
+            f"forces: a support force acts at vertex {stray[0]}, where the scene allows none: take it out, or make the vertex a "
+            "candidate (supports.candidates, supports.never)"
+        )
     with threadpool_limits(1, "blas"):
         problem = resolve_weight(problem)
         journal = Journal(problem, callback)

@@ -12,7 +12,8 @@ from relax.membrane.equilibrium import find_equilibrium
 from relax.sparsity.supports import sizes
 
 PLANTED = 0.1  # share of the candidates: where fewer carry a force at the target, the target is itself a tensile surface
-ROUND_OFF = 1e-9  # of the largest force: what a planted target carries everywhere else
+ROUND_OFF = 1e-9  # of the largest force or tension: what a planted target carries everywhere else
+REACHED = 1e-16  # of the scene's size squared: a rested shape this near is the target
 HEAVY = (0.5, 0.005, 0.1)  # first weights, as shares of the largest useful one; none wins on every scene
 
 
@@ -62,16 +63,24 @@ def resolve_weight(problem: Problem) -> Problem:
     fraction = problem.scene.settings["penalty"].get("weight_fraction")
     if problem.weight is not None or fraction is None:
         return problem
+    bare = unsupported(problem)
     steepest = float(problem.penalty.weight(np.zeros(1))[0])
-    return problem.replace(weight=fraction * largest_weight(problem, unsupported(problem)) / steepest)
+    if _reached(problem, bare):
+        raise InputError(
+            "penalty.weight_fraction: the membrane without supports already lies on the target, so no weight is useful: give "
+            "penalty.weight, or another target"
+        )
+    return problem.replace(weight=fraction * largest_weight(problem, bare) / steepest)
 
 
 def at_target(problem: Problem) -> Shape | None:
     """The target under the forces that its own springs ask for, x = xhat, p = -f(xhat) - g, or as near as candidates allow."""
     target = problem.scene.target
     wanted = -problem.membrane.forces(target) - problem.loads
-    shape = Shape(target, problem.supports.amplitudes(wanted), problem.factor_at(target), 0)
-    return rest(problem, shape)
+    amplitudes = problem.supports.amplitudes(wanted)
+    level = ROUND_OFF * max(float(sizes(wanted).max()), float(np.abs(problem.membrane.tension(target)).max()))
+    amplitudes[sizes(amplitudes) <= level] = 0.0
+    return rest(problem, Shape(target, amplitudes, problem.factor_at(target), 0))
 
 
 def given(problem: Problem, positions: Floats, forces: Floats) -> Shape | None:
@@ -86,8 +95,8 @@ def given(problem: Problem, positions: Floats, forces: Floats) -> Shape | None:
 def is_planted(problem: Problem, shape: Shape) -> bool:
     """Whether few supports hold the target as it is, so that nothing needs to be searched for elsewhere."""
     size = sizes(shape.amplitudes)
-    counted = np.count_nonzero(size > max(problem.penalty.resolution, ROUND_OFF * size.max()))
-    return bool(counted <= PLANTED * len(size))
+    counted = np.count_nonzero(size > ROUND_OFF * size.max(initial=0.0))
+    return bool(counted <= max(1, PLANTED * len(size))) and _reached(problem, shape)
 
 
 def choose_starts(problem: Problem, start: tuple[Floats, Floats] | None, skipped: list[str]) -> list[Start]:
@@ -144,9 +153,16 @@ def _found(shape: Shape | None, where: str) -> Shape:
     return shape
 
 
+def _reached(problem: Problem, shape: Shape) -> bool:
+    """Whether the shape is the target, up to round-off of the scene's size."""
+    return problem.distance(shape.positions) <= REACHED * float(problem.metric.diagonal().sum()) * problem.size**2
+
+
 def heavy_starts(problem: Problem) -> list[Start]:
     """Few masts first: the unsupported membrane with first weights at several shares of the largest useful one."""
     shape = unsupported(problem)
+    if _reached(problem, shape):
+        return [Start("unsupported", shape)]
     top = largest_weight(problem, shape)
     starts = [Start(f"heavy {share:g}", replace(shape, factorizations=0), share * top) for share in HEAVY]
     return [replace(starts[0], shape=shape), *starts[1:]]  # what the unsupported membrane took is counted once

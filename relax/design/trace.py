@@ -57,6 +57,7 @@ class Journal:
         self.seconds: list[float] = []
         self.notes: list[str] = []
         self.stage = ""
+        self.failure = ""
 
     def elapsed(self) -> float:
         """Seconds of the run so far."""

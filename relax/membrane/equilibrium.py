@@ -56,10 +56,16 @@ class _Newton:
 
     membrane: Membrane
     applied: Floats
+    start: Floats
 
     @cached_property
     def _size(self) -> float:
         return float(np.abs(self.membrane.rest_length).max() * np.sqrt(len(self.membrane.edges)))
+
+    @cached_property
+    def anchor(self) -> Floats:
+        """A point that does not move (3,)."""
+        return self.start[np.argmax(self.membrane.fixed)]
 
     def measure(self, positions: Floats) -> tuple[Floats, float]:
         """Unbalanced force (n, 3) and its largest norm, relative."""
@@ -69,7 +75,8 @@ class _Newton:
         return unbalanced, float(largest / scale) if scale > 0 else 0.0
 
     def potential(self, positions: Floats) -> float:
-        return self.membrane.energy(positions) - float(np.vdot(self.applied, positions[self.membrane.free]))
+        """Energy minus the work of the applied forces, measured from a fixed vertex: far from the origin digits are dear."""
+        return self.membrane.energy(positions) - float(np.vdot(self.applied, positions[self.membrane.free] - self.anchor))
 
     def begin(self, positions: Floats, factor: Factor | None) -> _State:
         unbalanced, residual = self.measure(positions)
@@ -93,7 +100,7 @@ class _Newton:
     def _search(self, state: _State, direction: Floats) -> _State:
         """Backtrack until the potential falls enough (Armijo), or the residual does where round-off hides the potential."""
         start, slope = self.potential(state.positions), -float(np.vdot(state.unbalanced, direction))
-        noise = 1e-14 * (abs(start) + float(np.abs(self.applied).sum()) * np.abs(state.positions).max())
+        noise = 1e-14 * (abs(start) + float(np.abs(self.applied).sum()) * np.abs(state.positions - self.anchor).max())
         length = 1.0
         for _ in range(40):
             trial = self._moved(state, direction, length)
@@ -116,7 +123,7 @@ class _Newton:
         settled = state.fresh and state.residual > 0.5 * state.before
         if state.residual <= ENOUGH and (settled or state.stuck):
             return Stop.CONVERGED
-        if np.abs(state.positions).max() > LOST * max(self._size, np.abs(self.membrane.rest_length).max()):
+        if np.abs(state.positions - self.anchor).max() > LOST * max(self._size, np.abs(self.membrane.rest_length).max()):
             return Stop.LOST_SUPPORT
         return self.reason(state) if state.stuck else None
 
@@ -151,7 +158,7 @@ def find_equilibrium(
     Equilibrium
         Never raises for a membrane that finds no rest: `stop` says why, `found` is False.
     """
-    newton = _Newton(membrane, applied)
+    newton = _Newton(membrane, applied, positions)
     run = iterate(newton, newton.begin(positions, factor), limit)
     state, stop = run.state, run.stop
     if state.residual <= FOUND:

@@ -21,7 +21,7 @@ from relax.membrane.mesh import (
 from relax.membrane.springs import SPRINGS
 
 Settings = Mapping[str, Mapping[str, Any]]
-LEAST_HEIGHT_WEIGHT = 0.01  # supports.weights = "height": a mast of no height still costs this share of the mean
+FARTHEST = 1e4  # scene sizes from the origin: beyond, the round-off of a position spoils the balance of forces
 
 
 @dataclass(frozen=True)
@@ -109,9 +109,7 @@ def build_scene(settings: Settings, mesh: Mesh, target: Floats, rest: Floats | N
         Names section, key and index.
     """
     supports, noise = settings["supports"], settings["target"]["noise"]
-    if not np.isfinite(target).all():
-        vertex = int(np.argwhere(~np.isfinite(target))[0][0])
-        raise InputError(f"target: vertex {vertex} is at {target[vertex].tolist()}: every coordinate must be a finite number")
+    _check_coordinates(target)
     plan = target * [1.0, 1.0, 0.0]
     fixed = _fixed(supports["fixed"], mesh, target)
     _check_held(mesh, fixed)
@@ -138,13 +136,31 @@ def build_scene(settings: Settings, mesh: Mesh, target: Floats, rest: Floats | N
         support_weight=np.ones(mesh.vertices),
         settings=settings,
     )
-    slack = (scene.membrane.tension(target) <= 0).mean()
-    if slack == 1.0:
+    if settings["membrane"]["springs"] != "force-density" and _all_slack(mesh, target, rest_length):
         raise InputError(
             "membrane.rest_scale: every edge is slack in the wanted shape, so no tension can hold it: lower rest_scale "
             f"(now {settings['membrane']['rest_scale']}) until the rest lengths are shorter than the target's edges"
         )
     return scene
+
+
+def _all_slack(mesh: Mesh, target: Floats, rest_length: Floats) -> bool:
+    """Whether no edge of the target is longer than its rest length by more than round-off."""
+    length = np.linalg.norm(target[mesh.edges[:, 1]] - target[mesh.edges[:, 0]], axis=1)
+    return bool((length <= rest_length * (1 + 1e-12)).all())
+
+
+def _check_coordinates(target: Floats) -> None:
+    """Refuse coordinates that are no numbers, or so far from the origin that double precision cannot hold the shape."""
+    if not np.isfinite(target).all():
+        vertex = int(np.argwhere(~np.isfinite(target))[0][0])
+        raise InputError(f"target: vertex {vertex} is at {target[vertex].tolist()}: every coordinate must be a finite number")
+    size, farthest = float(np.linalg.norm(np.ptp(target, axis=0))), float(np.abs(target).max())
+    if farthest > FARTHEST * size:
+        raise InputError(
+            f"target: coordinates reach {farthest:.3g} m in a scene of {size:.3g} m, too far from the origin for forces to "
+            "balance to the last digits: move the scene to the origin"
+        )
 
 
 def _vertex_list(key: str, vertices: list[int], mesh: Mesh) -> Mask:

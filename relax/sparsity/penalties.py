@@ -109,7 +109,10 @@ class Power:
 
     def value(self, size: Floats) -> Floats:
         half = self.exponent / 2
-        return (np.square(size) + self.smoothing) ** half - self.smoothing**half
+        if self.smoothing == 0:
+            return np.asarray(size, dtype=float)
+        # the difference of the two powers without its cancellation at small forces
+        return self.smoothing**half * np.expm1(half * np.log1p(np.square(size) / self.smoothing))
 
     def slope(self, size: Floats) -> Floats:
         if self.smoothing == 0:
