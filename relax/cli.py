@@ -3,10 +3,12 @@
 import json
 import os
 import shutil
+import signal
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,7 +31,7 @@ Example, from the project's folder:
 """
 EXIT_STATUS = """\b
 Exit status: 0 done; 1 ran but did not converge (the result is written and says so);
-2 bad input (one sentence, nothing written); 130 interrupted (the best so far is written).
+2 bad input (one sentence, nothing written); 130 interrupted (solve: the best so far is written).
 """
 
 
@@ -50,10 +52,22 @@ def run(arguments: Sequence[str]) -> int:
         sentence, status = _refusal(error)
         click.echo(f"relax: {' '.join(sentence.split())}", err=True)
     except BrokenPipeError:
-        # the reader of our output has gone; without this Python complains once more when it closes stdout
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _drop_output()
+        status = NOT_CONVERGED
+    except OSError as error:
+        with suppress(OSError):  # the screen may be what is full
+            click.echo(f"relax: cannot be written ({error.strerror or error}): make room or write to another place", err=True)
+        try:
+            sys.stdout.flush()
+        except OSError:
+            _drop_output()
         status = NOT_CONVERGED
     return status if isinstance(status, int) else DONE
+
+
+def _drop_output() -> None:
+    """Let go of a stdout that takes nothing more; without this Python complains once more when it closes it."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _refusal(error: Exception) -> tuple[str, int]:
@@ -78,14 +92,21 @@ def app() -> None:
     """Inverse form-finding of tensile structures: from the shape you want to the few masts that hold it."""
 
 
+def _folder(_context: click.Context, _option: click.Parameter, text: str | None) -> Path | None:
+    """The folder typed after -o; empty text would mean the current one."""
+    if text is not None and not text.strip():
+        raise InputError("-o: the name of the result folder is empty: give one, or leave -o out")
+    return None if text is None else Path(text)
+
+
 def _output(default: str) -> Callable[[Any], Any]:
-    return click.option(
-        "-o", "--output", metavar="DIR", type=click.Path(path_type=Path), help=f"Result folder. Default: {default}."
-    )
+    return click.option("-o", "--output", metavar="DIR", callback=_folder, help=f"Result folder. Default: {default}.")
 
 
 _json = click.option("--json", "as_json", is_flag=True, help="Print the content of result.json instead of a summary.")
-_quiet = click.option("--quiet", is_flag=True, help="No progress and no summary; warnings and errors stay.")
+_quiet = click.option(
+    "--quiet", is_flag=True, help="No progress and no summary; warnings and errors stay, and --json still prints."
+)
 
 
 @app.command(epilog="\b\nExample: relax solve data/tent.toml --set penalty.weight=0.02 -o tent-light")
@@ -113,18 +134,25 @@ def solve(scene: Path, output: Path | None, **options: Any) -> int:
     check_output(folder)
     began = time.perf_counter()
     loaded = load_scene(scene, _overrides(scene, options))
-    start = _start(scene, loaded)
+    start = _start(scene, loaded, options["start"])
     read_seconds = time.perf_counter() - began
     with _progress(quiet=options["quiet"]) as callback:
         design = find_design(Problem(loaded), start=start, callback=callback)
-    _finish(design, folder, read_seconds, options)
-    return INTERRUPTED if design.interrupted else DONE if design.certificate.converged else NOT_CONVERGED
+    interrupted = _finish(design, folder, read_seconds, options) or design.interrupted
+    return INTERRUPTED if interrupted else DONE if design.certificate.converged else NOT_CONVERGED
 
 
 def _overrides(scene: Path, options: Mapping[str, Any]) -> list[str]:
     """Short options as the `--set` that they stand for; `--set` itself comes last and wins."""
+    from relax.files.scenes import STARTS, holds_result
+
     start = options["start"]
-    if start is not None and start not in ("auto", "target", "heavy"):
+    if start is not None and start not in STARTS:
+        if not start or not holds_result(Path(start)):
+            raise InputError(
+                f'--start {start or "(empty)"}: this is neither "auto", "target" nor "heavy", and no result folder either; '
+                "name one of them, or a folder that relax solve wrote"
+            )
         # what is typed counts from here, what a scene says from its own folder
         start = os.path.relpath(start, scene.parent)
     given = {
@@ -138,14 +166,16 @@ def _overrides(scene: Path, options: Mapping[str, Any]) -> list[str]:
     return [*short, *options["assignments"]]
 
 
-def _start(path: Path, scene: "Scene") -> Any:
+def _start(path: Path, scene: "Scene", typed: str | None) -> Any:
     """Positions and forces of the result that the scene starts from, if it names one."""
     from relax.files import load_result
-    from relax.files.scenes import start_folder
+    from relax.files.scenes import STARTS, start_folder
 
     folder = start_folder(path, scene)
     if folder is None:
         return None
+    if typed is not None and typed not in STARTS and os.path.samefile(typed, folder):
+        folder = Path(typed)
     stored = load_result(folder)
     if stored.scene.mesh.vertices != scene.mesh.vertices:
         raise InputError(
@@ -186,7 +216,8 @@ def form(result: Path, output: Path | None, method: str, **options: Any) -> int:
     read_seconds = time.perf_counter() - began
     with _progress(quiet=options["quiet"]) as callback:
         design = find_shape(Problem(stored.scene), stored.forces, callback=callback)
-    _finish(design, folder, read_seconds, options)
+    if _finish(design, folder, read_seconds, options):
+        return INTERRUPTED
     # a shape is asked for, not the best one: that it rests and stands is enough
     return DONE if design.certificate.equilibrium <= EQUILIBRIUM and design.certificate.stable else NOT_CONVERGED
 
@@ -245,17 +276,38 @@ def _progress(*, quiet: bool) -> Iterator[Callable[[Mapping[str, Any]], None] | 
             click.echo("\r\x1b[K", err=True, nl=False)
 
 
-def _finish(design: "Design", folder: Path, read_seconds: float, options: Mapping[str, Any]) -> None:
-    """Write the result, then say what it is."""
-    from relax.files import write_result
-    from relax.plots.picture import draw_picture
+@contextmanager
+def _hold_interrupts() -> Iterator[list[int]]:
+    """Keep Ctrl-C from breaking off what is inside; the list holds those that came."""
+    came: list[int] = []
+    before = signal.getsignal(signal.SIGINT)
+    # Python lets the main thread alone change this; a run in the background may ignore Ctrl-C as it is
+    if before in (None, signal.SIG_IGN) or threading.current_thread() is not threading.main_thread():
+        yield came
+        return
+    signal.signal(signal.SIGINT, lambda number, _frame: came.append(number))
+    try:
+        yield came
+    finally:
+        signal.signal(signal.SIGINT, before)
 
-    write_result(folder, design, read_seconds, {"picture.png": lambda path: draw_picture(design, path)})
-    if options["as_json"]:
-        click.echo((folder / "result.json").read_text(encoding="utf-8"), nl=False)
-    elif not options["quiet"]:
-        _print_design(design, folder)
-    _warn(dict.fromkeys([*design.problem.scene.warnings, *design.certificate.warnings]))
+
+def _finish(design: "Design", folder: Path, read_seconds: float, options: Mapping[str, Any]) -> bool:
+    """Write the result, then say what it is; whether Ctrl-C came meanwhile, which does not lose a finished run."""
+    with _hold_interrupts() as came:
+        from relax.files import write_result
+        from relax.plots.picture import draw_picture
+
+        write_result(folder, design, read_seconds, {"picture.png": lambda path: draw_picture(design, path)})
+    try:
+        if options["as_json"]:
+            click.echo((folder / "result.json").read_text(encoding="utf-8"), nl=False)
+        elif not options["quiet"]:
+            _print_design(design, folder)
+        _warn(dict.fromkeys([*design.problem.scene.warnings, *design.certificate.warnings]))
+    except KeyboardInterrupt:  # the result is there, so this is no "nothing was written"
+        return True
+    return bool(came)
 
 
 def _warn(sentences: Any) -> None:

@@ -56,34 +56,26 @@ class Run(Generic[State]):
 
 
 def iterate(
-    algorithm: Algorithm[State],
-    state: State,
-    limit: int,
-    callback: Callable[[Record], None] | None = None,
-    catch: tuple[type[BaseException], ...] = (),
+    algorithm: Algorithm[State], state: State, limit: int, callback: Callable[[Record], None] | None = None
 ) -> Run[State]:
     """Step until `algorithm.done` gives a reason, `limit` steps were taken or a recorded figure is not finite.
 
-    `callback` receives each record with `step` and `seconds`. An exception in `catch` ends the loop with the last whole
-    state and `Stop.INTERRUPTED`.
+    `callback` receives each record with `step` and `seconds`; an exception in it, or Ctrl-C, is the caller's to catch.
     """
     begin = time.perf_counter()
     trace: list[Record] = []
     stop: Stop | None = None
     steps = 0
-    try:
-        while stop is None:
-            record = {"step": steps, "seconds": time.perf_counter() - begin, **algorithm.record(state)}
-            trace.append(record)
-            if callback is not None:
-                callback(record)
-            if any(isinstance(value, float) and not np.isfinite(value) for value in record.values()):
-                stop = Stop.NON_FINITE
-                continue
-            stop = algorithm.done(state) or (Stop.LIMIT if steps >= limit else None)
-            if stop is None:
-                state = algorithm.step(state)
-                steps += 1
-    except catch:
-        stop = Stop.INTERRUPTED
+    while stop is None:
+        record = {"step": steps, "seconds": time.perf_counter() - begin, **algorithm.record(state)}
+        trace.append(record)
+        if callback is not None:
+            callback(record)
+        if any(isinstance(value, float) and not np.isfinite(value) for value in record.values()):
+            stop = Stop.NON_FINITE
+            continue
+        stop = algorithm.done(state) or (Stop.LIMIT if steps >= limit else None)
+        if stop is None:
+            state = algorithm.step(state)
+            steps += 1
     return Run(state, stop, steps, time.perf_counter() - begin, tuple(trace))

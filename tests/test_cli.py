@@ -1,3 +1,4 @@
+import errno
 import importlib.metadata
 import json
 import os
@@ -163,7 +164,10 @@ BAD = [
     (["solve", "hill.toml", "--set", "membrane.rest_scale=3.0"], "every edge is slack"),
     (["solve", "hill.toml", "-o", "hill.npy"], "hill.npy: this is a file"),
     (["solve", "hill.toml", "-o", "hill.npy/x"], "is a file"),
-    (["solve", "hill.toml", "--start", "nowhere"], 'solver.start = "nowhere": this is neither'),
+    (["solve", "hill.toml", "--start", "nowhere"], '--start nowhere: this is neither "auto"'),
+    (["solve", "hill.toml", "--start", ""], "--start (empty): this is neither"),
+    (["solve", "hill.toml", "--set", 'solver.start="nowhere"'], 'hill.toml: solver.start = "nowhere": this is neither'),
+    (["solve", "hill.toml", "-o", ""], "-o: the name of the result folder is empty"),
     (["solve"], "Missing argument 'SCENE.toml'; relax solve --help"),
     (["solve", "hill.toml", "--bogus"], "No such option '--bogus'"),
     (["sovle"], "No such command 'sovle'"),
@@ -245,6 +249,55 @@ def test_ctrl_c_while_solving_writes_the_best_so_far(here, capfd, monkeypatch):
     monkeypatch.chdir(here)
     assert run(["check", "hill-result"]) in (0, 1)
     assert "every figure agrees" in capfd.readouterr().out
+
+
+@pytest.mark.parametrize("command", ["solve", "form"])
+def test_ctrl_c_while_writing_keeps_the_finished_run(solved, monkeypatch, command):
+    def interrupted(_, path):
+        path.write_bytes(b"picture")
+        os.kill(os.getpid(), signal.SIGINT)
+
+    before = signal.getsignal(signal.SIGINT)
+    monkeypatch.setattr("relax.plots.picture.draw_picture", interrupted)
+    assert run([command, "hill.toml" if command == "solve" else "hill-result", "-o", "out", "--quiet"]) == 130
+    assert load_result("out").figures["converged"] is True
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_ctrl_c_while_the_summary_is_printed_does_not_say_that_nothing_was_written(here, capfd, monkeypatch):
+    monkeypatch.setattr(relax.cli, "_print_design", lambda *_: os.kill(os.getpid(), signal.SIGINT))
+    assert run(["solve", "hill.toml"]) == 130
+    assert "nothing was written" not in capfd.readouterr().err
+    load_result("hill-result")
+
+
+def test_a_full_disk_is_one_sentence(here, capfd, monkeypatch):
+    def full(_, path):
+        path.write_bytes(b"half")
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("relax.plots.picture.draw_picture", full)
+    assert run(["solve", "hill.toml", "--quiet"]) == 1
+    err = capfd.readouterr().err
+    assert err.startswith("relax: cannot be written (No space left on device)") and err.count("\n") == 1
+    assert names(here) == ["hill.npy", "hill.toml"]
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="a device of Linux")
+def test_a_full_screen_is_one_sentence(solved):
+    with open("/dev/full", "w") as full:
+        command = [sys.executable, "-m", "relax", "check", "hill-result"]
+        said = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+    assert said.returncode == 1
+    assert said.stderr.startswith("relax: cannot be written (No space left") and said.stderr.count("\n") == 1
+
+
+def test_a_damaged_start_is_named_as_it_was_typed(solved, capfd):
+    (solved / "sub").mkdir()
+    write_scene(solved / "sub", QUICK)
+    (solved / "hill-result" / "result.npz").unlink()
+    assert run(["solve", "sub/hill.toml", "--start", "hill-result"]) == 2
+    assert capfd.readouterr().err.startswith("relax: hill-result/result.npz: no such file")
 
 
 def test_ctrl_c_before_there_is_anything_writes_nothing(here, capfd, monkeypatch):

@@ -56,6 +56,8 @@ def test_extra_edges_join_the_sides_once():
         (4, np.array([[0, 1, 2, -2]]), "face 0 names vertex -2"),
         (3, triangle((0, 1, 2), (2, 1, 2)), "face 1 names a vertex twice ([2, 1, 2, -1]): remove or mend it"),
         (4, np.array([[0, 1, 2, 0], [0, 1, 2, 3]]), "face 0 names a vertex twice"),
+        (4, triangle((1, 2, 3), (0, 1, 2), (1, 2, 0), (3, 1, 2)), "faces 1 and 2 have the same vertices: remove one of them"),
+        (4, np.array([[0, 1, 2, -1], [0, 1, 2, 3], [3, 2, 1, 0]]), "faces 1 and 2 have the same vertices"),
         (5, triangle((0, 1, 2), (1, 2, 4)), "vertex 3 belongs to no face: remove isolated vertices"),
     ],
 )

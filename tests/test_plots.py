@@ -110,6 +110,13 @@ def test_corners_alone_fixed_a_shape_on_target_and_forty_supports(tmp_path):
     drawn(design(flat, {}, lift=0.0), tmp_path)
 
 
+def test_a_flat_scene_on_the_ground_without_supports(tmp_path):
+    flat = grid_scene()
+    flat = replace(flat, target=flat.target * [1, 1, 0], clean_target=flat.target * [1, 1, 0])
+    flat.settings["supports"]["ground"] = 0.0
+    drawn(design(flat, {}, lift=0.0), tmp_path)
+
+
 def test_the_title_says_when_a_run_did_not_converge(tmp_path):
     case = design(grid_scene(), {})
     usual = drawn(case, tmp_path)

@@ -95,6 +95,7 @@ def test_arrays_are_those_of_the_format(design, folder):
         assert archive["positions"].shape == archive["forces"].shape == (steps, vertices, 3)
         assert archive["objective"].shape == archive["stationarity"].shape == archive["seconds"].shape == (steps,)
         np.testing.assert_array_equal(archive["unrounded_positions"], design.trace.unrounded_positions)
+        assert archive["notes"].dtype.kind == "U" and tuple(archive["notes"]) == design.trace.notes
 
 
 def test_supports_are_listed(design, folder):
@@ -191,7 +192,15 @@ def test_figures_that_are_no_number_become_null(design, tmp_path):
     assert load_result(tmp_path / "out").figures["converged"] is False
 
 
+def test_a_result_whose_settings_lack_a_section_has_its_defaults(folder):
+    edit_json(folder, lambda said: said["settings"].pop("solver") and said.update(supports=10**400))
+    stored = load_result(folder)
+    again = judge(Problem(stored.scene), stored.positions, stored.forces).figures()
+    assert differing(stored.figures, again) == ["supports"]
+
+
 def test_places_that_cannot_hold_a_result(tmp_path, design):
+    assert "empty" in refusal(check_output, "") and "empty" in refusal(write_result, "", design)
     (tmp_path / "file").write_text("x")
     assert "file: this is a file, so no result folder" in refusal(check_output, tmp_path / "file")
     assert f"{tmp_path / 'file'} is a file" in refusal(check_output, tmp_path / "file" / "below" / "deeper")
@@ -234,6 +243,10 @@ def changed(name, place, value):
     return change
 
 
+def set_penalty(**changes):
+    return lambda folder: edit_json(folder, lambda said: said["settings"]["penalty"].update(changes))
+
+
 BROKEN = [
     (shutil.rmtree, "no such folder"),
     (lambda folder: [entry.unlink() for entry in folder.iterdir()], "this folder holds no result"),
@@ -245,6 +258,10 @@ BROKEN = [
     (lambda folder: edit_json(folder, lambda said: said["settings"]["penalty"].update(name="l1")), "settings: penalty.name"),
     (lambda folder: edit_json(folder, lambda said: said["settings"]["supports"].pop("ground")), "supports.ground is missing"),
     (lambda folder: edit_json(folder, lambda said: said.pop("settings")), "it has no settings"),
+    (lambda folder: (folder / "result.json").write_text('{"settings": {}, "x": ' + 6000 * "9" + "}"), "this is not valid JSON"),
+    (set_penalty(weight=None, weight_fraction=0.1), "result.json: settings: penalty.weight is missing"),
+    (set_penalty(weight_fraction="x"), 'settings: penalty.weight_fraction = "x": expected a number'),
+    (lambda folder: edit_json(folder, lambda said: said["settings"].pop("penalty")), "settings: penalty.weight is missing"),
     (lambda folder: (folder / "result.npz").write_bytes(b"PK rubbish"), "result.npz: "),
     (lambda folder: edit_arrays(folder, metric=None), "result.npz: it has no array metric"),
     (lambda folder: edit_arrays(folder, forces=np.zeros((3, 3))), "forces has the shape (3, 3), expected (V, 3) with V = 49"),
@@ -259,6 +276,9 @@ BROKEN = [
     (changed("rest_length", 7, 0), "rest_length: entry 7 is 0.0, expected a number above 0"),
     (changed("spring_constant", 0, -1), "spring_constant: entry 0 is -1.0"),
     (changed("support_weight", 8, -1), "support_weight: entry 8 is -1.0"),
+    (changed("support_weight", slice(None), 0), "support_weight: entry 8 is 0.0, expected a number above 0 where"),
+    (changed("start", (3, 2), -1e200), "start is -1e+200 at index [3, 2], beyond 1e+30"),
+    (changed("positions", (0, 0), 1e200), "positions is 1e+200 at index [0, 0], beyond 1e+30"),
     (changed("fixed", slice(None), 1), "fixed: every vertex is fixed"),
     (changed("candidates", 0, 1), "candidates: vertex 0 is fixed"),
 ]

@@ -226,3 +226,16 @@ def test_a_scene_does_not_change_under_a_reader():
     assert (scene.title, scene.ground) == ("zoo", 0.0)
     with pytest.raises(ValueError, match="read-only"):
         scene.target[0, 0] = 3
+
+
+def test_a_scene_far_from_the_origin_is_refused():
+    mesh, flat = zoo.grid(5)
+    with pytest.raises(InputError, match="too far from the origin"):
+        build_scene(zoo.settings(), mesh, flat + np.array([0.0, 4e6, 0.0]), None)
+
+
+def test_rest_lengths_equal_to_the_target_are_slack_to_the_last_bit():
+    mesh, flat = zoo.grid(5)
+    hill = flat + np.outer(0.3 * np.sin(np.pi * flat[:, 0]) * np.sin(np.pi * flat[:, 1]), [0, 0, 1])
+    with pytest.raises(InputError, match="every edge is slack"):
+        build_scene(zoo.settings(membrane__rest="target", membrane__rest_scale=1.0), mesh, hill, None)

@@ -6,19 +6,18 @@ from relax.sparsity.supports import Supports, sizes
 SUPPORTS = Supports(np.array([1, 3, 4]), np.array([1.0, 2.0, 0.5]), 6)
 
 
-def test_rows_and_basis_by_hand():
+BASIS = np.eye(18)[:, [3, 4, 5, 9, 10, 11, 12, 13, 14]]
+
+
+def test_rows_by_hand():
     assert SUPPORTS.rows.tolist() == [[3, 4, 5], [9, 10, 11], [12, 13, 14]]
-    wanted = np.zeros((18, 9))
-    for amplitude, row in enumerate(SUPPORTS.rows.ravel()):
-        wanted[row, amplitude] = 1
-    assert np.array_equal(SUPPORTS.basis.toarray(), wanted)
 
 
 def test_forces_are_the_basis_times_amplitudes_and_amplitudes_its_transpose():
     rng = np.random.default_rng(0)
     s, p = rng.normal(size=(3, 3)), rng.normal(size=(6, 3))
-    assert np.array_equal(SUPPORTS.forces(s).ravel(), SUPPORTS.basis @ s.ravel())
-    assert np.array_equal(SUPPORTS.amplitudes(p).ravel(), SUPPORTS.basis.T @ p.ravel())
+    assert np.array_equal(SUPPORTS.forces(s).ravel(), BASIS @ s.ravel())
+    assert np.array_equal(SUPPORTS.amplitudes(p).ravel(), BASIS.T @ p.ravel())
     assert np.array_equal(SUPPORTS.amplitudes(SUPPORTS.forces(s)), s)
     assert not SUPPORTS.forces(s)[[0, 2, 5]].any()
 

@@ -1,7 +1,6 @@
 """The convex step in cvxpy, as it stands on paper: slow, readable, and the one that the fast ones must agree with."""
 
 import numpy as np
-from scipy.sparse import csc_array
 
 from relax.arrays import Floats
 from relax.convex.subproblem import Subproblem
@@ -21,11 +20,10 @@ def solve_with_cvxpy(step: Subproblem, solver: str = "CLARABEL") -> Floats:
     inner, unit = step.scaled()
     d = cp.Variable(len(inner.offset))
     s = cp.Variable(inner.rows.shape)
-    basis = _basis(inner)
 
     distance = cp.quad_form(d + inner.offset, cp.psd_wrap(inner.metric))
     masts = inner.weights @ cp.norm(s, 2, axis=1)
-    equilibrium = inner.stiffness @ d == inner.load + basis @ cp.vec(s, order="C")
+    equilibrium = inner.stiffness @ d == inner.load + inner.basis @ cp.vec(s, order="C")
 
     problem = cp.Problem(cp.Minimize(distance + masts), [equilibrium])
     try:
@@ -35,9 +33,3 @@ def solve_with_cvxpy(step: Subproblem, solver: str = "CLARABEL") -> Floats:
     if s.value is None:
         raise BackendError(f"cvxpy's solver {solver} gave no solution of a convex step (status {problem.status})")
     return unit * np.asarray(s.value)
-
-
-def _basis(step: Subproblem) -> csc_array:
-    """B (3n, 3m)."""
-    rows = step.rows.ravel()
-    return csc_array((np.ones(rows.size), (rows, np.arange(rows.size))), shape=(len(step.offset), rows.size))

@@ -50,6 +50,12 @@ class Subproblem:
     def stiffness(self) -> csc_array:
         return self.factor.matrix
 
+    @property
+    def basis(self) -> csc_array:
+        """B (3n, 3m)."""
+        rows = self.rows.ravel()
+        return csc_array((np.ones(rows.size), (rows, np.arange(rows.size))), shape=(len(self.offset), rows.size))
+
     @cached_property
     def unsupported(self) -> Floats:
         """C = r + K^-1 h: where the linearised membrane lies, relative to the target, without supports (3n,)."""

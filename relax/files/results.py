@@ -41,8 +41,11 @@ def check_output(folder: str | os.PathLike[str]) -> None:
     Raises
     ------
     InputError
-        `folder` is a file or lies inside one, cannot be written to, or holds a folder under the name of one of our files.
+        `folder` is empty, is a file or lies inside one, cannot be written to, or holds a folder under the name of one of our
+        files.
     """
+    if not os.fspath(folder):
+        raise InputError("the name of the result folder is empty: give one")
     folder = Path(folder)
     there = next((place for place in (folder, *folder.absolute().parents) if os.path.lexists(place)), Path("/"))
     if not there.is_dir():
@@ -70,8 +73,8 @@ def write_result(
         How long the scene took to read, for result.json.
     pictures : mapping of a file's name to a function that draws it at the path it is given
     """
-    folder = Path(folder)
     check_output(folder)
+    folder = Path(folder)
     stage = _new_stage(folder)
     try:
         _fill(stage, design, read_seconds, pictures or {})
@@ -103,6 +106,7 @@ def _fill(stage: Path, design: "Design", read_seconds: float, pictures: Mapping[
     arrays |= {"faces": scene.mesh.faces, "edges": scene.mesh.edges, "positions": design.positions, "forces": design.forces}
     np.savez(stage / "result.npz", **arrays)
     trace: dict[str, Any] = {name: np.asarray(getattr(design.trace, name)) for name in TRACE_ARRAYS}
+    trace["notes"] = np.array(design.trace.notes, dtype=np.str_)
     np.savez(stage / "trace.npz", **trace)
     _write_supports(stage / "supports.csv", design)
     write_obj(stage / "membrane.obj", design.positions, scene.mesh.faces)

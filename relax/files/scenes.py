@@ -55,6 +55,14 @@ def start_folder(path: str | os.PathLike[str], scene: Scene) -> Path | None:
     return None if start in STARTS else Path(path).parent / start
 
 
+def holds_result(folder: Path) -> bool:
+    """Whether a result.json that can be read lies in `folder`."""
+    try:
+        return isinstance(json.loads((folder / "result.json").read_bytes()), dict)
+    except (OSError, ValueError, RecursionError):
+        return False
+
+
 def _read_toml(path: Path) -> dict[str, Any]:
     content = read_bytes(path)
     try:
@@ -154,11 +162,7 @@ def _refuse_huge(positions: Floats, where: str) -> None:
 def _check_start(start: str, folder: Path) -> None:
     if start in STARTS:
         return
-    try:
-        holds_result = isinstance(json.loads((folder / start / "result.json").read_bytes()), dict)
-    except (OSError, ValueError, RecursionError):
-        holds_result = False
-    if not holds_result:
+    if not holds_result(folder / start):
         raise InputError(
             f'solver.start = {shown(start)}: this is neither "auto", "target" nor "heavy", and no result folder either; '
             "name one of them, or a folder that relax solve wrote, relative to the scene file"

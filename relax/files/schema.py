@@ -243,7 +243,7 @@ def _value(section: str, name: str, found: Raw) -> Any:
     """The checked value of a key, or its default."""
     key = SCHEMA[section][name]
     if name not in found:
-        return list(key.default) if isinstance(key.default, tuple) else key.default
+        return _default(key)
     value = found[name]
     later = LATER.get((section, name))
     try:

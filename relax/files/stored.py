@@ -14,7 +14,8 @@ import numpy as np
 from relax.arrays import Floats, lock_arrays
 from relax.errors import InputError
 from relax.files.bytes import read_bytes
-from relax.files.schema import Settings, resolve
+from relax.files.checks import LARGEST, RefusedError, shown
+from relax.files.schema import SCHEMA, Settings, resolve
 from relax.membrane.mesh import Mesh
 from relax.membrane.scene import Scene
 
@@ -43,7 +44,7 @@ class StoredResult:
         Rebuilt from result.npz and the settings alone.
     positions : (V, 3) metres
     forces : (V, 3) newtons
-    figures : content of result.json
+    figures : content of result.json, its settings completed by their defaults
     """
 
     scene: Scene
@@ -90,7 +91,9 @@ def _read_figures(path: Path) -> tuple[Mapping[str, Any], Settings]:
 
     try:
         figures = json.loads(read_bytes(path).decode(), parse_constant=refuse)
-    except (UnicodeDecodeError, json.JSONDecodeError, RecursionError):
+    except InputError:
+        raise
+    except (ValueError, RecursionError):  # text that is no JSON or no UTF-8, or a number of thousands of digits
         raise InputError("this is not valid JSON: write the result again with relax solve") from None
     if not isinstance(figures, dict) or not isinstance(figures.get("settings"), dict):
         raise InputError("it has no settings: write the result again with relax solve")
@@ -101,9 +104,20 @@ def _read_figures(path: Path) -> tuple[Mapping[str, Any], Settings]:
         raise InputError(f"settings: {error}") from None
     if complete["supports"]["ground"] is None:
         raise InputError("settings: supports.ground is missing: give the height of the ground in metres")
-    if isinstance(settings["penalty"], dict) and settings["penalty"].get("weight_fraction") is not None:
-        complete["penalty"]["weight_fraction"] = settings["penalty"]["weight_fraction"]
-    return figures, complete
+    penalty = settings.get("penalty", {})  # a table, else it would have been refused above
+    if penalty.get("weight") is None:
+        raise InputError("settings: penalty.weight is missing: give the weight that was used, a number above 0")
+    if penalty.get("weight_fraction") is not None:
+        complete["penalty"]["weight_fraction"] = _fraction(penalty["weight_fraction"])
+    return {**figures, "settings": complete}, complete
+
+
+def _fraction(value: Any) -> Any:
+    key = SCHEMA["penalty"]["weight_fraction"]
+    try:
+        return key.check(value)
+    except RefusedError:
+        raise InputError(f"settings: penalty.weight_fraction = {shown(value)}: expected {key.possible}") from None
 
 
 def _given(settings: Settings) -> Settings:
@@ -157,6 +171,9 @@ def _checked(name: str, array: Any, shape: tuple[str | int, ...], lengths: dict[
         raise InputError(f"{name} holds {array.dtype}, expected {np.dtype(kind).name}")
     if array.dtype.kind == "f" and not np.isfinite(array).all():
         raise InputError(f"{name} is not finite at index {np.argwhere(~np.isfinite(array))[0].tolist()}")
+    if array.dtype.kind == "f" and (np.abs(array) > LARGEST).any():
+        index = np.argwhere(np.abs(array) > LARGEST)[0].tolist()
+        raise InputError(f"{name} is {array[tuple(index)]} at index {index}, beyond {LARGEST:g}: mend it")
     return array.astype(kind)
 
 
@@ -180,7 +197,9 @@ def _check_mesh(arrays: Arrays) -> None:
 def _check_springs(arrays: Arrays) -> None:
     for name in ("rest_length", "spring_constant"):
         _refuse_below(name, arrays[name] <= 0, arrays[name], "above 0")
-    _refuse_below("support_weight", arrays["support_weight"] < 0, arrays["support_weight"], "0 or above")
+    weight = arrays["support_weight"]
+    _refuse_below("support_weight", weight < 0, weight, "0 or above")
+    _refuse_below("support_weight", (weight == 0) & arrays["candidates"], weight, "above 0 where a support may stand")
     if arrays["fixed"].all():
         raise InputError("fixed: every vertex is fixed, so there is no membrane")
     both = arrays["fixed"] & arrays["candidates"]
@@ -207,11 +226,19 @@ def differing(stored: Mapping[str, Any], judged: Mapping[str, Any]) -> list[str]
 
 
 def _agree(one: Any, other: Any, slight: float) -> bool:
-    plain = [value for value in (one, other) if isinstance(value, int | float) and not isinstance(value, bool)]
+    plain = [_float(value) for value in (one, other) if isinstance(value, int | float) and not isinstance(value, bool)]
     if len(plain) < 2 or not np.isfinite(plain).all():
         return (
             one is other
             or (type(one) is type(other) and one == other)
             or (one is None and len(plain) == 1 and not np.isfinite(plain[0]))
         )
-    return bool(abs(one - other) <= slight + 1e-6 * max(abs(one), abs(other)))
+    return bool(abs(plain[0] - plain[1]) <= slight + 1e-6 * max(abs(plain[0]), abs(plain[1])))
+
+
+def _float(value: float) -> float:
+    """`value`, infinite where it is a whole number of hundreds of digits."""
+    try:
+        return float(value)
+    except OverflowError:
+        return np.inf

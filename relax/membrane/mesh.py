@@ -40,7 +40,8 @@ def mesh_from_faces(vertices: int, faces: Ints, extra_edges: Ints | None = None)
     Raises
     ------
     InputError
-        A face index out of range, a face that names a vertex twice, or a vertex that no face uses.
+        A face index out of range, a face that names a vertex twice, two faces on the same vertices, or a vertex that no face
+        uses.
     """
     faces = np.asarray(faces, dtype=np.int64)
     padding = (faces == -1) & (np.arange(faces.shape[1]) == 3)
@@ -54,6 +55,7 @@ def mesh_from_faces(vertices: int, faces: Ints, extra_edges: Ints | None = None)
     twice = np.flatnonzero(((ordered[:, 1:] == ordered[:, :-1]) & (ordered[:, 1:] >= 0)).any(axis=1))
     if twice.size:
         raise InputError(f"face {twice[0]} names a vertex twice ({faces[twice[0]].tolist()}): remove or mend it")
+    _refuse_duplicates(ordered)
     sides = _sides(faces)[0]
     if extra_edges is not None:
         sides = np.vstack([sides, np.sort(extra_edges, axis=1)])
@@ -63,6 +65,15 @@ def mesh_from_faces(vertices: int, faces: Ints, extra_edges: Ints | None = None)
     if not used.all():
         raise InputError(f"vertex {np.flatnonzero(~used)[0]} belongs to no face: remove isolated vertices")
     return Mesh(vertices, faces, edges)
+
+
+def _refuse_duplicates(ordered: Ints) -> None:
+    """Refuse two faces on the same vertices; `ordered` (F, 4) holds the corners of each face in ascending order."""
+    order = np.lexsort(ordered.T)  # stable: of equal faces the earlier comes first
+    again = np.flatnonzero((ordered[order[1:]] == ordered[order[:-1]]).all(axis=1))
+    if again.size:
+        pair = again[np.argmin(order[again + 1])]
+        raise InputError(f"faces {order[pair]} and {order[pair + 1]} have the same vertices: remove one of them")
 
 
 def _sides(faces: Ints) -> tuple[Ints, Ints]:

@@ -143,7 +143,7 @@ def _draw_ground(axes: Axes, camera: Camera, view: View) -> None:
     lines.append(camera.project(np.array([low, [low[0], low[1], high[2]]]))[0])
     heights = _ticks(low[2], high[2], 4)[1:]
     # a flat scene has room for one number on its short upright
-    for value in heights if np.ptp(heights[:2]) > 0.05 * view.size else heights[-1:]:
+    for value in heights if len(heights) > 1 and np.ptp(heights[:2]) > 0.05 * view.size else heights[-1:]:
         mark = np.array([[low[0], low[1], value], [low[0] - 0.5 * outward, low[1], value]])
         lines.append(camera.project(mark)[0])
         x, y = lines[-1][1]

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.sparse import csc_array
 
 from relax.arrays import Floats, Ints, lock_arrays
 
@@ -34,12 +33,6 @@ class Supports:
     def rows(self) -> Ints:
         """Row of K that each amplitude acts on (m, 3)."""
         return 3 * self.vertices[:, None] + np.arange(3)
-
-    @cached_property
-    def basis(self) -> csc_array:
-        """B (3n, 3m): columns of the identity."""
-        rows = self.rows.ravel()
-        return csc_array((np.ones(rows.size), (rows, np.arange(rows.size))), shape=(3 * self.free, rows.size))
 
     def forces(self, amplitudes: Floats) -> Floats:
         """B s as nodal forces (n, 3) newtons."""
