@@ -12,7 +12,8 @@ from relax.membrane.equilibrium import find_equilibrium
 from relax.sparsity.supports import sizes
 
 PLANTED = 0.1  # share of the candidates: where fewer carry a force at the target, the target is itself a tensile surface
-ROUND_OFF = 1e-9  # of the largest force or tension: what a planted target carries everywhere else
+ROUND_OFF = 1e-9  # of the largest force: what a planted target, stored with fewer digits perhaps, carries everywhere else
+NOTHING = 1e-12  # of the largest tension: a force that is the round-off of balance
 REACHED = 1e-16  # of the scene's size squared: a rested shape this near is the target
 HEAVY = (0.5, 0.005, 0.1)  # first weights, as shares of the largest useful one; none wins on every scene
 
@@ -78,7 +79,7 @@ def at_target(problem: Problem) -> Shape | None:
     target = problem.scene.target
     wanted = -problem.membrane.forces(target) - problem.loads
     amplitudes = problem.supports.amplitudes(wanted)
-    level = ROUND_OFF * max(float(sizes(wanted).max()), float(np.abs(problem.membrane.tension(target)).max()))
+    level = NOTHING * max(float(sizes(wanted).max()), float(np.abs(problem.membrane.tension(target)).max()))
     amplitudes[sizes(amplitudes) <= level] = 0.0
     return rest(problem, Shape(target, amplitudes, problem.factor_at(target), 0))
 
