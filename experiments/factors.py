@@ -13,7 +13,6 @@ Finding: the known order takes a tenth off each factorisation at 10,000 vertices
 one: it pays from the second factorisation on. A block of 24 solves costs two fifths of a factorisation.
 """
 
-import argparse
 import statistics
 import sys
 import time
@@ -21,7 +20,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from rows import print_table, write_rows
+from rows import measured
 from threadpoolctl import threadpool_limits
 
 import relax
@@ -73,15 +72,8 @@ def measure(side: int, rounds: int) -> list[dict[str, object]]:
 
 def main() -> int:
     """Measure and print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--size", choices=SIDES, default="full")
-    parser.add_argument("--output", type=Path, help="a CSV file for the rows")
-    chosen = parser.parse_args()
     with threadpool_limits(1, "blas"):
-        rows = [row for side in SIDES[chosen.size] for row in measure(side, ROUNDS[chosen.size])]
-    print_table(rows)
-    if chosen.output:
-        write_rows(chosen.output, rows)
+        measured(__doc__, SIDES, lambda size: [row for side in SIDES[size] for row in measure(side, ROUNDS[size])])
     return 0
 
 

@@ -16,14 +16,13 @@ with one factorisation where the forward run needs three. With noise of 2 % of t
 price of 18 to 46 forward runs: two starts, each with some convex steps in which a hundred candidates are looked at.
 """
 
-import argparse
 import resource
 import statistics
 import sys
 from pathlib import Path
 
 import numpy as np
-from rows import print_table, write_rows
+from rows import measured
 
 import relax
 
@@ -85,18 +84,16 @@ def measure(side: int, masts: int, sigma: float, rounds: int) -> dict[str, objec
     }
 
 
+def all_rows(size: str) -> list[dict[str, object]]:
+    """Every row of one size, the noisy ones last."""
+    cases = [(side, 0.0) for side in SIDES[size]]
+    cases += [(side, NOISE) for side in SIDES[size] if side <= NOISY_UP_TO[size]]
+    return [measure(side, masts, sigma, ROUNDS[size]) for side, sigma in cases for masts in MASTS]
+
+
 def main() -> int:
     """Measure and print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--size", choices=SIDES, default="full")
-    parser.add_argument("--output", type=Path, help="a CSV file for the rows")
-    chosen = parser.parse_args()
-    cases = [(side, 0.0) for side in SIDES[chosen.size]]
-    cases += [(side, NOISE) for side in SIDES[chosen.size] if side <= NOISY_UP_TO[chosen.size]]
-    rows = [measure(side, masts, sigma, ROUNDS[chosen.size]) for side, sigma in cases for masts in MASTS]
-    print_table(rows)
-    if chosen.output:
-        write_rows(chosen.output, rows)
+    rows = measured(__doc__, SIDES, all_rows)
     return 0 if all(row["converged"] for row in rows) else 1
 
 

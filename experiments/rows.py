@@ -1,15 +1,29 @@
-"""What the experiments share: flat rows to a CSV file with versions and machine, and a table on the screen."""
+"""What the experiments share: their two options, flat rows to a CSV file with versions and machine, a table on the screen."""
 
+import argparse
 import csv
 import os
 import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 Row = Mapping[str, Any]
 PACKAGES = ("relax-tensile", "numpy", "scipy", "clarabel", "cvxpy")
+
+
+def measured(description: str, sizes: Iterable[str], rows_of: Callable[[str], Sequence[Row]]) -> Sequence[Row]:
+    """Rows of the size that the command line asks for, printed, and written where `--output` says."""
+    parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--size", choices=list(sizes), default="full")
+    parser.add_argument("--output", type=Path, help="a CSV file for the rows")
+    chosen = parser.parse_args()
+    rows = rows_of(chosen.size)
+    print_table(rows)
+    if chosen.output:
+        write_rows(chosen.output, rows)
+    return rows
 
 
 def write_rows(path: Path, rows: Sequence[Row]) -> None:

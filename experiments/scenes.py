@@ -12,12 +12,11 @@ Finding: every scene converges, to a stationarity below 1e-12. Where the target 
 the whole inverse run costs 1.1 to 1.8 forward runs; where it is not, two or three starts are tried and it costs 20 to 80.
 """
 
-import argparse
 import statistics
 import sys
 from pathlib import Path
 
-from rows import print_table, write_rows
+from rows import measured
 
 import relax
 
@@ -55,14 +54,7 @@ def measure(name: str, rounds: int) -> dict[str, object]:
 
 def main() -> int:
     """Measure and print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--size", choices=SCENES, default="full")
-    parser.add_argument("--output", type=Path, help="a CSV file for the rows")
-    chosen = parser.parse_args()
-    rows = [measure(name, ROUNDS[chosen.size]) for name in SCENES[chosen.size]]
-    print_table(rows)
-    if chosen.output:
-        write_rows(chosen.output, rows)
+    rows = measured(__doc__, SCENES, lambda size: [measure(name, ROUNDS[size]) for name in SCENES[size]])
     return 0 if all(row["converged"] for row in rows) else 1
 
 

@@ -13,13 +13,12 @@ Finding: they agree to the last digits, gaps below 1e-12. At 2,304 free vertices
 cone program with 3 supports standing, twice as fast with 57 and no faster with 64.
 """
 
-import argparse
 import sys
 import time
 from pathlib import Path
 
 import numpy as np
-from rows import print_table, write_rows
+from rows import measured
 
 import relax
 from relax.convex.backends import BACKENDS
@@ -70,14 +69,9 @@ def measure(side: int, share: float) -> list[dict[str, object]]:
 
 def main() -> int:
     """Measure and print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--size", choices=SHARES, default="full")
-    parser.add_argument("--output", type=Path, help="a CSV file for the rows")
-    chosen = parser.parse_args()
-    rows = [row for side in SIDES[chosen.size] for share in SHARES[chosen.size] for row in measure(side, share)]
-    print_table(rows)
-    if chosen.output:
-        write_rows(chosen.output, rows)
+    rows = measured(
+        __doc__, SHARES, lambda size: [row for side in SIDES[size] for share in SHARES[size] for row in measure(side, share)]
+    )
     return 0 if all(row["apart"] <= 1e-6 for row in rows) else 1
 
 
