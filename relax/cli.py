@@ -2,7 +2,6 @@
 
 import json
 import os
-import shutil
 import signal
 import sys
 import threading
@@ -15,13 +14,12 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from relax.errors import InputError, RelaxError
+from relax.screen import print_check, print_design, progress, warn
 
 if TYPE_CHECKING:
     from relax.design.solve import Design
-    from relax.files import StoredResult
     from relax.membrane.scene import Scene
 
-MOST_ROWS = 24  # of a table on the screen
 DONE, NOT_CONVERGED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 EXAMPLE = """\b
@@ -136,7 +134,7 @@ def solve(scene: Path, output: Path | None, **options: Any) -> int:
     loaded = load_scene(scene, _overrides(scene, options))
     start = _start(scene, loaded, options["start"])
     read_seconds = time.perf_counter() - began
-    with _progress(quiet=options["quiet"]) as callback:
+    with progress(quiet=options["quiet"]) as callback:
         design = find_design(Problem(loaded), start=start, callback=callback)
     interrupted = _finish(design, folder, read_seconds, options) or design.interrupted
     return INTERRUPTED if interrupted else DONE if design.certificate.converged else NOT_CONVERGED
@@ -214,7 +212,7 @@ def form(result: Path, output: Path | None, method: str, **options: Any) -> int:
     began = time.perf_counter()
     stored = load_result(result)
     read_seconds = time.perf_counter() - began
-    with _progress(quiet=options["quiet"]) as callback:
+    with progress(quiet=options["quiet"]) as callback:
         design = find_shape(Problem(stored.scene), stored.forces, callback=callback)
     if _finish(design, folder, read_seconds, options):
         return INTERRUPTED
@@ -244,36 +242,11 @@ def check(result: Path, *, as_json: bool, quiet: bool) -> int:
         judged = {**stored.figures, **certificate.figures(), "agrees": not wrong, "differing": wrong}
         click.echo(json.dumps(judged, indent=2))
     elif not quiet:
-        _print_check(stored, certificate.figures(), wrong)
-    _warn(certificate.warnings)
+        print_check(stored, certificate.figures(), wrong)
+    warn(certificate.warnings)
     if wrong:
         click.echo(f"relax: {result}: result.json does not hold for {', '.join(wrong)}", err=True)
     return DONE if certificate.converged and not wrong else NOT_CONVERGED
-
-
-@contextmanager
-def _progress(*, quiet: bool) -> Iterator[Callable[[Mapping[str, Any]], None] | None]:
-    """A callback that says on stderr how a run goes: one line kept up to date on a terminal, else one line a step."""
-    if quiet:
-        yield None
-        return
-    live = sys.stderr.isatty()
-
-    def say(record: Mapping[str, Any]) -> None:
-        residual = "-" if record["stationarity"] is None else f"{record['stationarity']:.1e}"
-        line = (
-            f"step {record['step']}: objective {record['objective']:.6g}, supports {record['supports']}, "
-            f"stationarity {residual}, {record['seconds']:.1f} s, {record['note']}"
-        )
-        if live:
-            line = f"\r{line[: shutil.get_terminal_size().columns - 1]}\x1b[K"
-        click.echo(line, err=True, nl=not live)
-
-    try:
-        yield say
-    finally:
-        if live:
-            click.echo("\r\x1b[K", err=True, nl=False)
 
 
 @contextmanager
@@ -303,48 +276,11 @@ def _finish(design: "Design", folder: Path, read_seconds: float, options: Mappin
         if options["as_json"]:
             click.echo((folder / "result.json").read_text(encoding="utf-8"), nl=False)
         elif not options["quiet"]:
-            _print_design(design, folder)
-        _warn(dict.fromkeys([*design.problem.scene.warnings, *design.certificate.warnings]))
+            print_design(design, folder)
+        warn(dict.fromkeys([*design.problem.scene.warnings, *design.certificate.warnings]))
     except KeyboardInterrupt:  # the result is there, so this is no "nothing was written"
         return True
     return bool(came)
-
-
-def _warn(sentences: Any) -> None:
-    for sentence in sentences:
-        click.echo(f"relax: warning: {sentence}", err=True)
-
-
-def _print_design(design: "Design", folder: Path) -> None:
-    said = design.certificate
-    count = "1 support" if said.supports == 1 else f"{said.supports} supports"
-    click.echo(f"{design.problem.scene.title}: {design.stop} ({design.iterations} steps, {design.seconds:.2f} s)")
-    click.echo(f"{count}, rms distance {said.rms_distance:.4g} m, largest tension {said.tension_max:.4g} N")
-    click.echo(f"objective {said.objective:.8g} = distance {said.distance:.8g} + penalty {said.penalty:.8g}")
-    if design.supports:
-        place = f"{'vertex':>8}  {'kind':8}  {'x, m':>9} {'y, m':>9} {'z, m':>9}"
-        click.echo(f"{place}  {'force, N':>10}  {'length, m':>9}  {'lean, deg':>9}")
-    for mast in design.supports[:MOST_ROWS]:
-        x, y, z = mast.head
-        length = "-" if mast.length is None else f"{mast.length:.4g}"
-        place = f"{mast.vertex:8}  {mast.kind:8}  {x:9.4g} {y:9.4g} {z:9.4g}"
-        click.echo(f"{place}  {mast.magnitude:10.4g}  {length:>9}  {mast.lean:9.1f}")
-    if len(design.supports) > MOST_ROWS:
-        click.echo(f"     ... and {len(design.supports) - MOST_ROWS} more in {folder / 'supports.csv'}")
-    click.echo(f"written to {folder}{os.sep}")
-
-
-def _print_check(stored: "StoredResult", judged: Mapping[str, Any], wrong: Sequence[str]) -> None:
-    click.echo(f"{'figure':14}{'result.json':>24}{'recomputed':>24}")
-    for name, value in judged.items():
-        mark = "  differs" if name in wrong else ""
-        click.echo(f"{name:14}{_cell(stored.figures.get(name)):>24}{_cell(value):>24}{mark}")
-    verdict = "converged" if judged["converged"] else "not converged"
-    click.echo(f"{stored.scene.title}: {'every figure agrees' if not wrong else f'{len(wrong)} differ'}; {verdict}")
-
-
-def _cell(value: Any) -> str:
-    return f"{value:.12g}" if isinstance(value, float) else str(value).lower() if isinstance(value, bool) else str(value)
 
 
 if __name__ == "__main__":

@@ -223,7 +223,7 @@ def test_help_shows_examples_and_no_command_of_later_versions(capfd):
 
 
 def test_ctrl_c_while_solving_writes_the_best_so_far(here, capfd, monkeypatch):
-    real = relax.cli._progress
+    real = relax.cli.progress
 
     def interrupting(*, quiet):
         class Progress:
@@ -241,7 +241,7 @@ def test_ctrl_c_while_solving_writes_the_best_so_far(here, capfd, monkeypatch):
 
         return Progress()
 
-    monkeypatch.setattr(relax.cli, "_progress", interrupting)
+    monkeypatch.setattr(relax.cli, "progress", interrupting)
     assert run(["solve", "hill.toml", "--quiet"]) == 130
     figures = load_result("hill-result").figures
     assert figures["interrupted"] is True and "interrupted" in figures["stop"]
@@ -265,7 +265,7 @@ def test_ctrl_c_while_writing_keeps_the_finished_run(solved, monkeypatch, comman
 
 
 def test_ctrl_c_while_the_summary_is_printed_does_not_say_that_nothing_was_written(here, capfd, monkeypatch):
-    monkeypatch.setattr(relax.cli, "_print_design", lambda *_: os.kill(os.getpid(), signal.SIGINT))
+    monkeypatch.setattr(relax.cli, "print_design", lambda *_: os.kill(os.getpid(), signal.SIGINT))
     assert run(["solve", "hill.toml"]) == 130
     assert "nothing was written" not in capfd.readouterr().err
     load_result("hill-result")

@@ -168,8 +168,10 @@ def test_bad_files_get_one_sentence(tmp_path, capfd, name, content, sentence):
 
 
 def test_grey_levels_that_pillow_would_stretch_are_refused(tmp_path):
+    def chunk(name, data):
+        return struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
+
     rows = zlib.compress(b"\0\x1b" * 4)
-    chunk = lambda name, data: struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))  # noqa: E731
     header = chunk(b"IHDR", struct.pack(">IIBBBBB", 4, 4, 2, 0, 0, 0, 0))
     content = b"\x89PNG\r\n\x1a\n" + header + chunk(b"IDAT", rows) + chunk(b"IEND", b"")
     assert "packed or inverted" in refusal(write(tmp_path, "a.png", content))

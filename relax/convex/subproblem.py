@@ -58,7 +58,7 @@ class Subproblem:
 
     @cached_property
     def unsupported(self) -> Floats:
-        """C = r + K^-1 h: where the linearised membrane lies, relative to the target, without supports (3n,)."""
+        """Where the linearised membrane lies without supports, relative to the target: c = r + K^-1 h (3n,)."""
         self._check()
         return self.offset + self.factor.solve(self.load)
 

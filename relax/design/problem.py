@@ -96,7 +96,7 @@ class Problem:
         return float(np.linalg.norm(np.ptp(self.scene.clean_target, axis=0)))
 
     def offset(self, positions: Floats) -> Floats:
-        """R = x - xhat on the free vertices, (n, 3)."""
+        """Offset r = x - xhat on the free vertices, (n, 3)."""
         free = self.membrane.free
         return positions[free] - self.scene.target[free]
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from relax.arrays import Mask
+from relax.arrays import Floats, Mask
 from relax.design.problem import Problem
 from relax.design.refit import Progress, Shape, refit, with_dual
 from relax.sparsity.supports import sizes
@@ -20,11 +20,12 @@ SLACK = 1 + 1e-7  # round-off of a dual; the judge allows 1e-6
 
 @dataclass(frozen=True)
 class Rounded:
-    """A refitted shape, which groups were dropped on the way (m,), and which the certificate says are missing (m,)."""
+    """A refitted shape with its dual (m, 3), which groups were dropped on the way (m,), and which are missing (m,)."""
 
     shape: Shape
+    dual: Floats
     dropped: Mask
-    missing: Mask
+    missing: Mask  # without a support, though their dual is steeper than R allows anywhere
 
 
 def round_supports(problem: Problem, shape: Shape, keep: Mask, progress: Progress) -> Rounded:
@@ -37,20 +38,16 @@ def round_supports(problem: Problem, shape: Shape, keep: Mask, progress: Progres
         if not small.any():
             break
         shape = replace(shape, amplitudes=np.where(small[:, None], 0.0, shape.amplitudes))
-    return Rounded(shape, before & ~problem.standing(shape.amplitudes), _missing(problem, shape))
+    dual = problem.supports.amplitudes(with_dual(problem, shape)[2])
+    stands = problem.standing(shape.amplitudes)
+    allowed = problem.group_weights(np.zeros_like(shape.amplitudes))
+    return Rounded(shape, dual, before & ~stands, ~stands & (sizes(dual) > allowed * SLACK))
 
 
-def seated(problem: Problem, shape: Shape, missing: Mask) -> Shape:
-    """The shape with a first small force at each group in `missing` (m,), along which the value falls."""
-    dual = problem.supports.amplitudes(with_dual(problem, shape)[2])[missing]
+def seated(problem: Problem, result: Rounded) -> Shape:
+    """The rounded shape with a first small force at each missing group, along which the value falls."""
+    shape, dual = result.shape, result.dual[result.missing]
     seat = SEAT * float(sizes(shape.amplitudes).max(initial=0.0)) or problem.penalty.resolution
     amplitudes = shape.amplitudes.copy()
-    amplitudes[missing] = -seat * dual / sizes(dual)[:, None]
+    amplitudes[result.missing] = -seat * dual / sizes(dual)[:, None]
     return replace(shape, amplitudes=amplitudes)
-
-
-def _missing(problem: Problem, shape: Shape) -> Mask:
-    """Candidates without a support whose dual is steeper than R allows anywhere (m,)."""
-    dual = problem.supports.amplitudes(with_dual(problem, shape)[2])
-    allowed = problem.group_weights(np.zeros_like(shape.amplitudes))
-    return ~problem.standing(shape.amplitudes) & (sizes(dual) > allowed * SLACK)

@@ -196,7 +196,7 @@ def _steps_and_rounding(problem: Problem, start: Start, tools: _Tools) -> tuple[
         if result.missing.any() and problem.standing(result.shape.amplitudes).tobytes() in tried:
             # the convex steps leave them out each time, since a reweighted norm is not R: let Newton on R try them
             keep = keep | result.missing
-            result = round_supports(problem, seated(problem, result.shape, result.missing), keep, journal)
+            result = round_supports(problem, seated(problem, result), keep, journal)
         shape = result.shape
         if not result.missing.any():
             return shape, unrounded

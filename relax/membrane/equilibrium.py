@@ -83,8 +83,7 @@ class _Newton:
         return _State(positions, unbalanced, residual, np.inf, factor)
 
     def step(self, state: _State) -> _State:
-        usable = state.factor is not None and state.factor.positive_definite
-        if state.factor is not None and usable and state.residual <= CHORD * state.before:
+        if state.factor is not None and state.residual <= CHORD * state.before and state.factor.positive_definite:
             chord = self._moved(state, state.factor.solve(state.unbalanced), 1.0)
             if chord.residual <= CHORD * state.residual:
                 return replace(chord, factor=state.factor, factorizations=state.factorizations)

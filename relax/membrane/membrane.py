@@ -95,7 +95,7 @@ class Membrane:
         return Factor(csc_array(taut + lift), self._elimination_order)
 
     def edge_vectors(self, positions: Floats) -> Floats:
-        """V = x_b - x_a, (E, 3) metres."""
+        """Edge vectors v = x_b - x_a, (E, 3) metres."""
         return positions[self.edges[:, 1]] - positions[self.edges[:, 0]]
 
     def edge_state(self, positions: Floats) -> EdgeState:
