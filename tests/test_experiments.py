@@ -16,7 +16,8 @@ EXPERIMENTS = Path(__file__).parent.parent / "experiments"
         ("scenes", {"scene", "converged", "stationarity", "inverse / forward"}),
         ("steps", {"back-end", "gap", "apart"}),
         ("price", {"vertices", "masts", "inverse / forward", "exact", "stationarity", "converged"}),
-        ("factors", {"order", "factor and pivots, s"}),
+        ("peers", {"case", "method", "times relax", "before rounding", "objective", "same supports", "converged"}),
+        ("factors", {"engine", "first, s", "again, s", "memory, MB", "60 columns, s"}),
     ],
 )
 def test_small_size_runs_and_writes_flat_rows(name, columns, tmp_path):

@@ -7,6 +7,7 @@ import zoo
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from relax.factor import available_engines
 from relax.membrane.membrane import Membrane
 from relax.membrane.springs import SPRINGS, Hookean
 
@@ -132,6 +133,77 @@ def test_factors_are_those_of_the_stiffness(law):
     assert membrane.lifted_factor_at(0.6 * x).positive_definite
     lift = membrane.lifted_factor_at(x).matrix - membrane.taut_stiffness(x)
     assert np.allclose(lift.toarray(), 1e-4 * membrane.spring_constant.mean() * np.eye(right.size))
+
+
+def pivots(matrix):
+    """D of K = L D L^T, without any pivoting."""
+    rest, values = matrix.copy(), []
+    while len(rest):
+        values.append(rest[0, 0])
+        rest = rest[1:, 1:] - np.outer(rest[1:, 0], rest[0, 1:]) / rest[0, 0]
+    return np.array(values)
+
+
+@every_law
+@few
+@given(seed=st.integers(0, 1000))
+def test_the_proof_of_definiteness_bounds_every_pivot(law, seed):
+    scene, rng = zoo.irregular_scene(), np.random.default_rng(seed)
+    fixed = rng.random(len(scene.membrane.fixed)) < 0.1
+    fixed[rng.integers(len(fixed))] = True
+    constant = scene.membrane.spring_constant * 10 ** rng.uniform(-4, 4, len(scene.membrane.edges))
+    membrane = replace(scene.membrane, springs=law, fixed=fixed, spring_constant=constant)
+    whole = membrane.factor_at(scene.target)
+    for factor in (getattr(whole, "scalar", whole), membrane.lifted_factor_at(0.6 * scene.target)):
+        dense = factor.matrix.toarray()
+        order = rng.permutation(len(dense))
+        assert factor.pivot_bound > 0
+        assert (pivots(dense[np.ix_(order, order)]) / dense.diagonal()[order]).min() >= 0.99 * factor.pivot_bound
+        assert factor.positive_definite
+
+
+def test_no_proof_where_an_edge_pushes_or_a_part_is_loose():
+    membrane, x, _ = bent(Hookean())
+    assert membrane.factor_at(x).pivot_bound == 0  # a few edges push, which may or may not matter
+    scene = zoo.irregular_scene()
+    loose = replace(scene.membrane, fixed=np.zeros_like(scene.membrane.fixed))
+    assert loose.factor_at(scene.target).pivot_bound == 0 and loose.factor_at(scene.target).singular
+    assert loose.lifted_factor_at(scene.target).pivot_bound > 0 and loose.lifted_factor_at(scene.target).positive_definite
+
+
+@pytest.mark.parametrize("engine", available_engines())
+def test_one_analysis_a_mesh_in_the_engine_that_was_chosen(engine):
+    scene = zoo.irregular_scene()
+    membrane, right = replace(scene.membrane, engine=engine), np.ones((len(scene.membrane.free), 3))
+    factors = [membrane.factor_at(scale * scene.target) for scale in (1.0, 1.1, 0.6)]
+    factors.append(membrane.lifted_factor_at(0.6 * scene.target))
+    for factor in factors:
+        assert factor.symbolic is factors[0].symbolic and factor.symbolic.engine == engine
+        assert np.allclose(factor.matrix @ factor.solve(right).ravel(), right.ravel(), atol=1e-8)
+
+
+def test_force_densities_are_factorised_once_and_as_scalars():
+    membrane, x, rng = bent(SPRINGS["force-density"])
+    factor = membrane.factor_at(x)
+    assert membrane.linear and factor.matrix is membrane.stiffness(x)
+    assert membrane.factor_at(2 * x) is factor and factor.scalar.matrix.shape == (len(membrane.free),) * 2
+    right, rows = rng.normal(size=factor.matrix.shape[0]), rng.integers(0, factor.matrix.shape[0], 9)
+    dense = naive.stiffness(membrane, x)
+    assert np.allclose(factor.solve(right), np.linalg.solve(dense, right), atol=1e-11)
+    assert np.allclose(factor.inverse_columns(rows), np.linalg.inv(dense)[:, rows], atol=1e-11)
+    assert not replace(membrane, springs=Hookean()).linear
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_force_densities_of_mixed_sign_are_seen(seed):
+    membrane, x, rng = bent(SPRINGS["force-density"])
+    mixed = replace(membrane, spring_constant=membrane.spring_constant * rng.choice([1, -0.3 - 0.1 * seed], len(membrane.edges)))
+    values = np.linalg.eigvalsh(naive.stiffness(mixed, x))
+    factor = mixed.factor_at(x)
+    assert factor.positive_definite == (values[0] > 0) and not factor.singular
+    assert mixed.lifted_factor_at(x).positive_definite
+    none = replace(membrane, spring_constant=0 * membrane.spring_constant).factor_at(x)
+    assert none.singular and not none.positive_definite
 
 
 def test_tension_has_a_sign_and_force_density_is_tension_over_length():

@@ -4,11 +4,14 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.sparse import bsr_array, csc_array, csr_array, diags_array
+from scipy.sparse import bsr_array, csc_array, csr_array
+from scipy.sparse.csgraph import connected_components
 
 from relax.arrays import Floats, Ints, Mask, lock_arrays
-from relax.factor import Factor, block_order
-from relax.membrane.springs import Springs
+from relax.factor import Engine, Factor, ScalarFactor, Symbolic
+from relax.membrane.springs import ForceDensity, Springs
+
+LIFT = 1e-4  # of the mean spring: what makes a semidefinite stiffness definite
 
 
 @dataclass(frozen=True)
@@ -32,6 +35,8 @@ class Membrane:
     spring_constant : (E,) newtons per metre (force density: q)
     springs : Springs
     fixed : (V,) bool
+    engine : str or Engine
+        Who factorises: one of `relax.factor.available_engines()`, "auto" for the first of them, or one of your own.
     """
 
     edges: Ints
@@ -39,6 +44,7 @@ class Membrane:
     spring_constant: Floats
     springs: Springs
     fixed: Mask
+    engine: str | Engine = "auto"
 
     def __post_init__(self) -> None:
         lock_arrays(self)
@@ -61,6 +67,11 @@ class Membrane:
         return csr_array((sign[keep], (row[keep], column[keep])), shape=(len(self.free), count))
 
     @cached_property
+    def _ends(self) -> csr_array:
+        """1 (n, E) where an edge starts or ends: sums over the edges at a vertex."""
+        return abs(self._incidence)
+
+    @cached_property
     def _blocks(self) -> tuple[Ints, Ints, Ints]:
         """Pattern of the (n, n) block matrix, once a mesh: row pointer, columns, and where each block's values come from.
 
@@ -79,20 +90,64 @@ class Membrane:
         return pointer, column[order], source[order]
 
     @cached_property
-    def _elimination_order(self) -> Ints:
-        """Of the 3n unknowns, from the graph of the free vertices, once a mesh."""
-        pointer, column, _ = self._blocks
-        return block_order(csr_array((np.ones(len(column)), column, pointer), shape=(len(self.free),) * 2))
+    def _symbolic(self) -> Symbolic:
+        """What the factorisations of K share, once a mesh."""
+        return Symbolic(3, self.engine)
+
+    @cached_property
+    def linear(self) -> bool:
+        """Whether K is the same at every shape, and the same in x, y and z."""
+        return isinstance(self.springs, ForceDensity)
+
+    @cached_property
+    def _linear_factor(self) -> Factor:
+        """Of the constant K = S (x) I_3 of force densities, by one scalar factorisation, once a membrane."""
+        stiffness = self._linear_stiffness
+        bound = self._pivot_bound(self.spring_constant, self.spring_constant)
+        scalar = Factor(csc_array(stiffness[::3, ::3]), Symbolic(1, self.engine), bound)
+        return ScalarFactor(stiffness, scalar)
+
+    @cached_property
+    def _linear_stiffness(self) -> csc_array:
+        return self._assemble(self.spring_constant[:, None, None] * np.eye(3))
+
+    @cached_property
+    def _held(self) -> bool:
+        """Whether every connected part has a fixed vertex."""
+        count = len(self.fixed)
+        a, b = self.edges.T
+        _, part = connected_components(csr_array((np.ones(len(a)), (a, b)), shape=(count, count)), directed=False)
+        return bool(np.isin(part, part[self.fixed]).all())
+
+    def _pivot_bound(self, least: Floats, largest: Floats, lift: float = 0.0) -> float:
+        """A lower bound of every pivot of K as a part of its diagonal entry; 0 where this proves none.
+
+        `least` and `largest` (E,) are the smallest and the largest eigenvalue of each edge's block. Where no edge pushes, K is
+        at least the Laplacian with conductances `least` in each direction, so a pivot, the energy that is left when one
+        unknown moves by one and those eliminated before it follow, is at least the conductance of a path from its vertex to
+        a fixed one: the smallest of its edges over their number. `lift` is what stands on the diagonal besides.
+        """
+        if not len(self.free) or not len(least) or least.min() < 0:
+            return 0.0
+        entry = float((self._ends @ largest).max()) + lift
+        path = float(least.min()) / len(self.free) if self._held else 0.0
+        return max(path, lift) / entry if entry > 0 else 0.0
 
     def factor_at(self, positions: Floats) -> Factor:
-        """A factorisation of K at `positions` (V, 3)."""
-        return Factor(self.stiffness(positions), self._elimination_order)
+        """A factorisation of K at `positions` (V, 3); of a linear membrane always the same one."""
+        if self.linear:
+            return self._linear_factor
+        state = self.edge_state(positions)
+        bound = self._pivot_bound(np.minimum(state.density, state.stiffness), np.maximum(state.density, state.stiffness))
+        return Factor(self.stiffness(positions), self._symbolic, bound)
 
     def lifted_factor_at(self, positions: Floats) -> Factor:
-        """The same of the taut part of K, lifted off singularity by 1e-4 of the mean spring: definite, so a step is downhill."""
-        taut = self.taut_stiffness(positions)
-        lift = diags_array(np.full(taut.shape[0], 1e-4 * self.spring_constant.mean()), format="csc")
-        return Factor(csc_array(taut + lift), self._elimination_order)
+        """The same of the taut part of K, lifted off singularity: definite, so a step is downhill."""
+        lift = LIFT * float(self.spring_constant.mean())
+        state = self.edge_state(positions)
+        pull = np.maximum(state.density, 0.0)
+        bound = self._pivot_bound(pull, np.maximum(pull, state.stiffness), lift)
+        return Factor(self.taut_stiffness(positions, lift), self._symbolic, bound)
 
     def edge_vectors(self, positions: Floats) -> Floats:
         """Edge vectors v = x_b - x_a, (E, 3) metres."""
@@ -126,18 +181,22 @@ class Membrane:
 
     def stiffness(self, positions: Floats) -> csc_array:
         """K = -df/dx (3n, 3n), symmetric: edge blocks q I + (e'' - q) u u^T (MATHEMATICS.md, "Membrane")."""
+        if self.linear:
+            return self._linear_stiffness
         state = self.edge_state(positions)
         outer = state.direction[:, :, None] * state.direction[:, None, :]
         blocks = (state.stiffness - state.density)[:, None, None] * outer
         blocks += state.density[:, None, None] * np.eye(3)
         return self._assemble(blocks)
 
-    def taut_stiffness(self, positions: Floats) -> csc_array:
-        """K without the parts that pushing edges make negative: positive semidefinite, for a descent direction."""
+    def taut_stiffness(self, positions: Floats, lift: float = 0.0) -> csc_array:
+        """K without the parts that pushing edges make negative, positive semidefinite, and with `lift` added to its diagonal."""
         state = self.edge_state(positions)
         pull = np.maximum(state.density, 0.0)
         outer = state.direction[:, :, None] * state.direction[:, None, :]
-        return self._assemble((np.maximum(state.stiffness, pull) - pull)[:, None, None] * outer + pull[:, None, None] * np.eye(3))
+        blocks = (np.maximum(state.stiffness, pull) - pull)[:, None, None] * outer
+        blocks += pull[:, None, None] * np.eye(3)
+        return self._assemble(blocks, lift)
 
     def stiffness_turn(self, positions: Floats, along: Floats) -> csc_array:
         """T (3n, 3n): the derivative of K @ along with respect to the positions (MATHEMATICS.md, "Reduced form").
@@ -159,10 +218,10 @@ class Membrane:
         blocks = rate * (uw * (np.eye(3) - 3 * outer) + mixed + mixed.transpose(0, 2, 1)) + slope * uw * outer
         return self._assemble(blocks)
 
-    def _assemble(self, blocks: Floats) -> csc_array:
+    def _assemble(self, blocks: Floats, lift: float = 0.0) -> csc_array:
         """Sum edge blocks (E, 3, 3) into the free vertices' matrix; the pattern is the mesh's and never changes."""
         pointer, column, source = self._blocks
-        diagonal = abs(self._incidence) @ blocks.reshape(-1, 9)
+        diagonal = self._ends @ blocks.reshape(-1, 9) + lift * np.eye(3).ravel()
         values = np.concatenate([-blocks.reshape(-1, 9), diagonal])[source].reshape(-1, 3, 3)
         size = 3 * len(self.free)
         rows = bsr_array((values, column, pointer), shape=(size, size)).tocsr()
