@@ -5,8 +5,11 @@ import csv
 import os
 import platform
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from importlib.metadata import version
+from multiprocessing import get_context
 from pathlib import Path
+from resource import RUSAGE_SELF, getrusage
 from typing import Any
 
 Row = Mapping[str, Any]
@@ -24,6 +27,17 @@ def measured(description: str, sizes: Iterable[str], rows_of: Callable[[str], Se
     if chosen.output:
         write_rows(chosen.output, rows)
     return rows
+
+
+def in_own_processes(measure: Callable[..., Row], cases: Iterable[Sequence[Any]]) -> list[Row]:
+    """A row for each case, one after the other, each in a fresh process, so that its peak memory is its own."""
+    with ProcessPoolExecutor(1, get_context("spawn"), max_tasks_per_child=1) as processes:
+        return list(processes.map(measure, *zip(*cases, strict=True)))
+
+
+def peak_gigabytes() -> float:
+    """Largest memory of this process so far."""
+    return getrusage(RUSAGE_SELF).ru_maxrss / 2**20
 
 
 def write_rows(path: Path, rows: Sequence[Row]) -> None:

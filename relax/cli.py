@@ -111,7 +111,7 @@ _quiet = click.option(
 @click.argument("scene", metavar="SCENE.toml", type=click.Path(path_type=Path))
 @_output("<scene name>-result in the current folder; ours in it is replaced, other files are kept")
 @click.option("--method", metavar="M", help='Solver: "sequential".')
-@click.option("--backend", metavar="B", help='Convex step: "auto", "clarabel" or "cvxpy" (readable, slow).')
+@click.option("--backend", metavar="B", help='Convex step: "auto", "working-set", "clarabel" or "cvxpy" (readable, slow).')
 @click.option("--penalty", metavar="P", help='"power" (the paper\'s) or "group-lasso".')
 @click.option("--weight", metavar="K", type=float, help="Weight of the penalty: larger means fewer supports.")
 @click.option("--exponent", metavar="A", type=float, help="Exponent of the power penalty, above 0 and at most 1.")

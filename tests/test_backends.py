@@ -52,7 +52,7 @@ def test_backends_agree_on_who_stands(name):
 
 
 def test_the_zoo_has_steps_of_every_size():
-    counts = {name: int(BACKENDS["auto"](step, nothing(step)).standing.sum()) for name, step in STEPS.items()}
+    counts = {name: int(BACKENDS["working-set"](step, nothing(step)).standing.sum()) for name, step in STEPS.items()}
     assert counts["nothing stands"] == 0
     assert 1 <= counts["heavy"] < counts["medium"] < counts["light"]
     assert counts["millimetres"] == counts["medium"]
@@ -102,10 +102,10 @@ def test_units_do_not_change_the_answer(backend):
 @pytest.mark.parametrize("many", [1, 2, 5])
 def test_where_too_many_matter_the_cone_program_takes_over(many, monkeypatch):
     step = STEPS["light"]
-    wanted = BACKENDS["auto"](step, nothing(step))
+    wanted = BACKENDS["working-set"](step, nothing(step))
     assert wanted.standing.sum() > many and wanted.ran == "working set"
     monkeypatch.setattr(module, "MANY", many)
-    solution = BACKENDS["auto"](step, nothing(step))
+    solution = BACKENDS["working-set"](step, nothing(step))
     assert solution.ran == "clarabel"
     assert solution.value == pytest.approx(wanted.value, rel=1e-7)
 

@@ -15,7 +15,8 @@ EXPERIMENTS = Path(__file__).parent.parent / "experiments"
     [
         ("scenes", {"scene", "converged", "stationarity", "inverse / forward"}),
         ("steps", {"back-end", "gap", "apart"}),
-        ("price", {"vertices", "masts", "inverse / forward", "exact", "stationarity", "converged"}),
+        ("price", {"case", "vertices", "engine", "inverse / forward", "at most", "exact", "stationarity", "converged"}),
+        ("scale", {"vertices", "engine", "inverse, s", "overall", "peak, GB", "converged"}),
         ("peers", {"case", "method", "times relax", "before rounding", "objective", "same supports", "converged"}),
         ("factors", {"engine", "first, s", "again, s", "memory, MB", "60 columns, s"}),
     ],

@@ -178,7 +178,6 @@ LATER_VALUES = [
     *(("penalty", "name", name) for name in ("log-sum", "mcp", "scad", "count")),
     ("solver", "method", "lagrangian"),
     ("solver", "backend", "osqp"),
-    ("solver", "backend", "working-set"),
 ]
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import zoo
 
-from relax.convex.backends import BACKENDS, auto
+from relax.convex.backends import BACKENDS, working_set
 from relax.convex.subproblem import certify
 from relax.design.problem import Problem
 from relax.design.sequential import FIRST_DAMPING, SequentialConvex, State
@@ -34,7 +34,7 @@ def problem(request):
     return Problem(SCENES[request.param]())
 
 
-def run_from(problem, shape, weights=None, backend=auto, limit=60):
+def run_from(problem, shape, weights=None, backend=working_set, limit=60):
     """The run and its shapes, one a state."""
     seen = []
     method = SequentialConvex(problem, weights or problem.group_weights, backend)
@@ -82,7 +82,7 @@ def test_the_sequence_settles_within_its_steps(problem):
     state = run.state
     assert state.settled or state.exhausted
     assert len(shapes) == run.steps + 1
-    assert state.shape.factorizations >= run.steps
+    assert state.shape.factorizations >= (1 if problem.membrane.linear else run.steps)
 
 
 def test_a_converged_group_lasso_step_has_nothing_more_to_gain():
@@ -105,7 +105,7 @@ def test_a_refused_step_is_damped_until_one_is_kept():
     def hasty(step, start):
         damping = step.metric.diagonal()[0] - 1
         asked.append(damping)
-        solution = auto(step, start)
+        solution = working_set(step, start)
         if damping >= 1:
             return solution
         # the model is kept in the belief that it gains, and the membrane is thrown far beyond the target
@@ -130,7 +130,7 @@ def test_where_every_step_is_refused_the_shape_stays():
     solved = {}
 
     def backwards(step, start):
-        solution = auto(step, start)
+        solution = working_set(step, start)
         solved["damping"] = step.metric.diagonal()[0] - 1
         return type(solution)(
             -solution.amplitudes, solution.displacement, solution.dual, solution.value, solution.bound, "backwards"
@@ -154,7 +154,7 @@ def test_a_backend_that_fails_ends_the_sequence_with_what_was_reached():
         calls.append(1)
         if len(calls) == 2:
             raise BackendError("the solver lost its way")
-        return auto(step, start)
+        return working_set(step, start)
 
     run, shapes, _ = run_from(problem, unsupported(problem), lambda a: np.full(len(a), 1e-2), fails_second)
     assert run.stop is Stop.CONVERGED and len(calls) == 2
@@ -167,7 +167,7 @@ def test_other_backends_take_the_same_step(backend):
     problem = Problem(zoo.planted(7, zoo.TWO_MASTS, sigma=0.01, penalty__weight=1e-2).scene)
     shape = unsupported(problem)
     weights = np.full(len(problem.supports.vertices), 1e-2)
-    one = SequentialConvex(problem, lambda _: weights, auto).step(State(shape)).shape
+    one = SequentialConvex(problem, lambda _: weights, working_set).step(State(shape)).shape
     other = SequentialConvex(problem, lambda _: weights, BACKENDS[backend]).step(State(shape)).shape
     assert one.amplitudes.any()
     np.testing.assert_array_equal(problem.standing(one.amplitudes), problem.standing(other.amplitudes))

@@ -29,7 +29,7 @@ def cvxpy(step: Subproblem, start: Floats) -> Solution:
     return polish(step, solve_with_cvxpy(step), "cvxpy")
 
 
-def auto(step: Subproblem, start: Floats) -> Solution:
+def working_set(step: Subproblem, start: Floats) -> Solution:
     """The working set; where too many candidates matter for it, the full cone program."""
     solution = solve_on_working_set(step, start, MANY)
     if solution.gap <= 10 * GAP:
@@ -69,4 +69,4 @@ def polish(step: Subproblem, raw: Floats, name: str) -> Solution:
     return Solution(best.amplitudes, best.displacement, best.dual, best.value, best.bound, name)
 
 
-BACKENDS: dict[str, Backend] = {"auto": auto, "quick": quick, "clarabel": clarabel, "cvxpy": cvxpy}
+BACKENDS: dict[str, Backend] = {"working-set": working_set, "quick": quick, "clarabel": clarabel, "cvxpy": cvxpy}

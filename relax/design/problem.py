@@ -138,6 +138,12 @@ class Problem:
         """Lam = 2 K^-1 M (x - xhat) on the free vertices (n, 3): minus the gradient that a support force would feel."""
         return factor.solve(2 * (self.metric @ self.offset(positions).ravel())).reshape(-1, 3)
 
+    def curvature(self, positions: Floats, dual: Floats) -> csc_array:
+        """M - T/2 (3n, 3n), half the Hessian of E_dist between K^-1 and K^-1, at `positions` with their dual (n, 3)."""
+        if self.membrane.linear:
+            return self.metric
+        return csc_array(self.metric - self.membrane.stiffness_turn(positions, dual) / 2)
+
     def linearised(self, positions: Floats, factor: Factor, weights: Floats) -> Subproblem:
         """The convex step at `positions` under `weights` (m,)."""
         unbalanced = self.membrane.forces(positions) + self.loads

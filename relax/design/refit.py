@@ -25,6 +25,7 @@ NOISE = 1e-13  # of the value: round-off
 VISIBLE = 1e3  # times the noise: a fall that can be seen
 IDLE = 1e-6  # relative decrease of the value that counts as a gain, if the step was not shorter than this share of Newton's:
 SHORT = 0.1
+FAST = 0.01  # a step that shrinks the gradient at least this much needs no new curvature
 PATIENCE = 6  # steps in a row without a gain: the way ends at a shape that would not stand
 REST_LIMIT = 20  # Newton steps to a nearby equilibrium; one that takes more is not near, and a shorter step is cheaper
 
@@ -49,6 +50,20 @@ class Shape:
     factor: Factor | None
     factorizations: int
 
+    def with_factor(self, factor: Factor) -> "Shape":
+        """The same shape with a factorisation of its own, counted unless it is the one at hand (linear membranes have one)."""
+        if factor is self.factor:
+            return self
+        return replace(self, factor=factor, factorizations=self.factorizations + 1)
+
+
+@dataclass(frozen=True)
+class _Bend:
+    """How E_dist bends in the members' forces, (3k, 3k), and the columns of K^-1 (3n, 3k): where they move the membrane."""
+
+    columns: Floats
+    hessian: Floats
+
 
 @dataclass(frozen=True)
 class _State:
@@ -60,7 +75,9 @@ class _State:
     gradient: Floats  # (k, 3) on the members
     residual: float
     fresh: bool  # the factorisation was made at this very shape
+    bend: _Bend | None = None  # of an earlier shape, while it serves
     idle: int = 0  # steps in a row that gained next to nothing
+    best: float = np.inf  # the smallest residual so far
     stuck: bool = False
 
 
@@ -89,17 +106,21 @@ class _Refit:
         return self.problem.distance(positions) + self.share * self.problem.sparsity(amplitudes)
 
     def step(self, state: _State) -> _State:
-        """A Newton step; one that gains nothing by a factorisation from nearby is tried again with one made here."""
-        moved = self._newton(state)
-        if not state.fresh and (moved.idle > state.idle or moved.stuck):
-            here = self.state(replace(state.shape, factor=None))
-            moved = self._newton(replace(here, idle=state.idle))
+        """A Newton step; one that gains nothing by a curvature from elsewhere is tried again with one made here."""
+        moved = self._newton(state, state.bend or self._bend(state))
+        near = not state.fresh or state.bend is not None
+        if near and (moved.idle > state.idle or moved.stuck):
+            here = replace(self.state(replace(state.shape, factor=None)), idle=state.idle, best=state.best)
+            moved = self._newton(here, self._bend(here))
         return moved
 
-    def _newton(self, state: _State) -> _State:
+    def _bend(self, state: _State) -> _Bend:
         columns = state.factor.inverse_columns(self.problem.supports.rows[state.members].ravel())
-        curvature = 2 * self.problem.metric - self.problem.membrane.stiffness_turn(state.shape.positions, state.dual)
-        hessian = columns.T @ (curvature @ columns) + self._penalty_hessian(state)
+        curvature = self.problem.curvature(state.shape.positions, state.dual)
+        return _Bend(columns, 2 * (columns.T @ (curvature @ columns)))
+
+    def _newton(self, state: _State, bend: _Bend) -> _State:
+        hessian = bend.hessian + self._penalty_hessian(state)
         values, vectors = np.linalg.eigh(0.5 * (hessian + hessian.T))
         # R bends downwards along each force and the membrane's own curvature may too: reflect, so that the step descends
         size = np.maximum(np.abs(values), 1e-13 * np.abs(values).max())
@@ -109,7 +130,7 @@ class _Refit:
             # at a saddle the slope is lost in round-off: go down its steepest bend far enough for the value to show it
             steps[0] += np.copysign(np.sqrt(2 * VISIBLE * NOISE * abs(state.value) / size[0]), -slopes[0])
         delta = vectors @ steps
-        return self._search(state, delta.reshape(-1, 3), columns)
+        return self._search(state, delta.reshape(-1, 3), bend)
 
     def _penalty_hessian(self, state: _State) -> Floats:
         """R's Hessian on the members: phi'' u u^T + phi'/t (I - u u^T) a group, (3k, 3k)."""
@@ -125,7 +146,7 @@ class _Refit:
         whole[index, :, index, :] = blocks
         return whole.reshape(3 * len(s), -1)
 
-    def _search(self, state: _State, delta: Floats, columns: Floats) -> _State:
+    def _search(self, state: _State, delta: Floats, bend: _Bend) -> _State:
         """Backtrack at true equilibrium that stands; supports that the step turns round leave where that lowers the value."""
         members, shape = state.members, state.shape
         descent = float(np.vdot(state.gradient, delta))
@@ -138,7 +159,7 @@ class _Refit:
                 trial = s + length * delta
                 if leave:
                     trial[turned] = 0.0
-                moved = self.moved(shape, members, trial, columns)
+                moved = self.moved(shape, members, trial, bend.columns)
                 if moved is None:
                     continue
                 value = self._value(moved.positions, moved.amplitudes)
@@ -148,8 +169,10 @@ class _Refit:
                     stands = near.factor.positive_definite or not state.factor.positive_definite
                     if stands and (falls or near.residual < 0.5 * state.residual):
                         falling = length >= SHORT and state.value - value > IDLE * abs(state.value)
-                        gained = falling or near.residual < 0.5 * state.residual
-                        return replace(near, idle=0 if gained else state.idle + 1)
+                        best = min(state.best, state.residual)
+                        gained = falling or near.residual < 0.5 * best
+                        serves = near.residual <= FAST * state.residual and len(near.members) == len(members)
+                        return replace(near, bend=bend if serves else None, idle=0 if gained else state.idle + 1, best=best)
             length *= 0.5
         return replace(state, stuck=True)
 
@@ -188,7 +211,7 @@ def with_dual(problem: Problem, shape: Shape) -> tuple[Shape, Factor, Floats]:
         if dual is not None:
             return shape, shape.factor, dual.reshape(-1, 3)
     factor = problem.factor_at(shape.positions)
-    shape = replace(shape, factor=factor, factorizations=shape.factorizations + 1)
+    shape = shape.with_factor(factor)
     return shape, factor, factor.solve(right).reshape(-1, 3)
 
 
@@ -199,6 +222,12 @@ def rest(problem: Problem, guess: Shape) -> Shape | None:
     if not found.found:
         return None
     return Shape(found.positions, guess.amplitudes, found.factor or guess.factor, guess.factorizations + found.factorizations)
+
+
+def stationary_dual(problem: Problem, shape: Shape) -> tuple[Shape, Floats, float]:
+    """The shape, its dual (n, 3), and how far it is from stationary for E_dist + R on its support (relative, as the judge)."""
+    state = _Refit(problem, 1.0).state(shape)
+    return state.shape, state.dual, state.residual
 
 
 def refit(problem: Problem, shape: Shape, mode: str = "penalised", progress: Progress | None = None) -> Shape:

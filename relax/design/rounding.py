@@ -10,11 +10,12 @@ import numpy as np
 
 from relax.arrays import Floats, Mask
 from relax.design.problem import Problem
-from relax.design.refit import Progress, Shape, refit, with_dual
+from relax.design.refit import Progress, Shape, refit, stationary_dual
 from relax.sparsity.supports import sizes
 
 LIMIT = 50
 SEAT = 1e-3  # of the largest force: where Newton on R starts with a support that is missing
+STATIONARY = 1e-3  # of a shape whose dual is believed
 SLACK = 1 + 1e-7  # round-off of a dual; the judge allows 1e-6
 
 
@@ -38,10 +39,13 @@ def round_supports(problem: Problem, shape: Shape, keep: Mask, progress: Progres
         if not small.any():
             break
         shape = replace(shape, amplitudes=np.where(small[:, None], 0.0, shape.amplitudes))
-    dual = problem.supports.amplitudes(with_dual(problem, shape)[2])
+    shape, field, residual = stationary_dual(problem, shape)
+    dual = problem.supports.amplitudes(field)
     stands = problem.standing(shape.amplitudes)
     allowed = problem.group_weights(np.zeros_like(shape.amplitudes))
-    return Rounded(shape, dual, before & ~stands, ~stands & (sizes(dual) > allowed * SLACK))
+    # the dual of a shape that Newton left far from stationary says nothing
+    missing = ~stands & (sizes(dual) > allowed * SLACK) if residual <= STATIONARY else np.zeros_like(stands)
+    return Rounded(shape, dual, before & ~stands, missing)
 
 
 def seated(problem: Problem, result: Rounded) -> Shape:

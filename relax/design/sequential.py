@@ -54,11 +54,15 @@ class SequentialConvex:
     weights: Weights
     backend: Backend
 
+    def begin(self, shape: Shape) -> State:
+        """The first state."""
+        return State(shape)
+
     def step(self, state: State) -> State:
         """One convex step from `state`, kept or refused."""
         shape, problem = state.shape, self.problem
         factor = problem.factor_at(shape.positions)
-        shape = replace(shape, factor=factor, factorizations=shape.factorizations + 1)
+        shape = shape.with_factor(factor)
         weights = self.weights(shape.amplitudes)
         before = problem.distance(shape.positions) + float(weights @ sizes(shape.amplitudes))
         subproblem = problem.linearised(shape.positions, factor, weights)

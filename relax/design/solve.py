@@ -15,11 +15,12 @@ from relax.design.optimality import EQUILIBRIUM, OFF_SUPPORT, Certificate, judge
 from relax.design.problem import Problem
 from relax.design.refit import Shape, refit
 from relax.design.rounding import round_supports, seated
-from relax.design.sequential import SequentialConvex, State
-from relax.design.starts import Start, choose_starts, resolve_weight
+from relax.design.search import Search
+from relax.design.sequential import SequentialConvex
+from relax.design.starts import Start, at_target, choose_starts, heavy_starts, resolve_weight, tells_sizes
 from relax.design.trace import Callback, Journal, Trace
 from relax.errors import EquilibriumError, InputError
-from relax.iterate import Stop, iterate
+from relax.iterate import Algorithm, Stop, iterate
 from relax.membrane.equilibrium import find_equilibrium
 
 STEPS = 60  # convex steps a sequence; those seen to converge took 3 to 25
@@ -74,11 +75,10 @@ class _Outcome:
 
 @dataclass(frozen=True)
 class _Tools:
-    """What a run works with: its journal, the back-end of a start's first steps, and that of the others."""
+    """What a run works with: its journal, and who solves its convex steps where somebody was named (None: what is fastest)."""
 
     journal: Journal
-    rough: Backend
-    exact: Backend
+    backend: Backend | None
 
 
 def solve(
@@ -110,9 +110,7 @@ def solve(
         named = problem.scene.settings["solver"]["backend"]
         if backend is None and named != "auto":
             backend = BACKENDS[named]
-        return _solve(
-            problem, start, _Tools(Journal(problem, callback), backend or BACKENDS["quick"], backend or BACKENDS["auto"])
-        )
+        return _solve(problem, start, _Tools(Journal(problem, callback), backend))
 
 
 def _solve(problem: Problem, start: tuple[Floats, Floats] | None, tools: _Tools) -> Design:
@@ -121,11 +119,14 @@ def _solve(problem: Problem, start: tuple[Floats, Floats] | None, tools: _Tools)
     skipped: list[str] = []
     spent = 0
     try:
-        for begin in choose_starts(problem, start, skipped):
+        starts = choose_starts(problem, start, skipped)
+        for begin in starts:
             if _agree(outcomes):
                 skipped.append(f"start {begin.name}: two starts ended at the same supports")
                 break
             outcomes.append(_run(problem, begin, tools))
+            if begin.name == "pulled" and not outcomes[-1].certificate.converged:
+                starts += _others(problem, nothing=outcomes[-1].shape is begin.shape)
         best = min(outcomes, key=_rank)
         if problem.scene.settings["rounding"]["refit"] == "debiased":
             journal.stage = "debiasing"
@@ -138,6 +139,16 @@ def _solve(problem: Problem, start: tuple[Floats, Floats] | None, tools: _Tools)
         stop = Stop.INTERRUPTED.value
     spent += sum(each.shape.factorizations for each in outcomes) or best.shape.factorizations
     return replace(_design(problem, best, journal, stop), skipped=tuple(skipped), factorizations=spent)
+
+
+def _others(problem: Problem, *, nothing: bool) -> list[Start]:
+    """What else to start from: the target, which a light weight does not leave far; the heavy ones where nothing came so far."""
+    shape = at_target(problem)
+    starts = [] if shape is None else [Start("target", shape)]
+    try:
+        return [*starts, *heavy_starts(problem)] if nothing else starts
+    except EquilibriumError:
+        return starts
 
 
 def _run(problem: Problem, start: Start, tools: _Tools) -> _Outcome:
@@ -182,14 +193,17 @@ def _steps_and_rounding(problem: Problem, start: Start, tools: _Tools) -> tuple[
     if start.weight is not None:
         constant = start.weight * problem.supports.weights
         journal.stage = f"start {start.name}, first weights"
-        shape = _sequence(SequentialConvex(problem, lambda _: constant, tools.rough), shape, HEAVY_STEPS, journal)
+        rough = tools.backend or BACKENDS["quick"]
+        shape = _sequence(SequentialConvex(problem, lambda _: constant, rough), shape, HEAVY_STEPS, journal)
     unrounded = best = None
     keep = np.zeros(len(shape.amplitudes), dtype=bool)
-    method = SequentialConvex(problem, problem.group_weights, tools.exact)
+    method = _method(problem, tools)
     tried: set[bytes] = set()
     for _ in range(ROUNDS):
         journal.stage = f"start {start.name}"
         shape = _sequence(method, shape, STEPS, journal)
+        if journal.failure and shape is start.shape:
+            return shape, shape  # forces almost everywhere, perhaps: there is nothing to round
         unrounded = unrounded or shape
         journal.stage = f"start {start.name}, rounding"
         result = round_supports(problem, shape, keep, journal)
@@ -209,8 +223,16 @@ def _steps_and_rounding(problem: Problem, start: Start, tools: _Tools) -> tuple[
     return best or shape, unrounded or shape
 
 
-def _sequence(method: SequentialConvex, shape: Shape, limit: int, journal: Journal) -> Shape:
-    state = iterate(method, State(shape), limit, journal).state
+def _method(problem: Problem, tools: _Tools) -> SequentialConvex | Search:
+    """The search, where the penalty tells sizes and no back-end of convex steps was asked for."""
+    if tools.backend is None and tells_sizes(problem):
+        return Search(problem)
+    return SequentialConvex(problem, problem.group_weights, tools.backend or BACKENDS["working-set"])
+
+
+def _sequence(method: SequentialConvex | Search, shape: Shape, limit: int, journal: Journal) -> Shape:
+    algorithm: Algorithm[Any] = method
+    state = iterate(algorithm, method.begin(shape), limit, journal).state
     if state.failure:
         journal.notes[-1] += f"; then {state.failure}"
     journal.failure = state.failure

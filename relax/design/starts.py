@@ -15,6 +15,11 @@ PLANTED = 0.1  # share of the candidates: where fewer carry a force at the targe
 ROUND_OFF = 1e-9  # of the largest force: what a planted target, stored with fewer digits perhaps, carries everywhere else
 NOTHING = 1e-12  # of the largest tension: a force that is the round-off of balance
 REACHED = 1e-16  # of the scene's size squared: a rested shape this near is the target
+PULLS = (
+    0.125,
+    0.016,
+    0.002,
+)  # of the mean stiffness: the springs that draw the membrane to a target, the next where it would not stand
 HEAVY = (0.5, 0.005, 0.1)  # first weights, as shares of the largest useful one; none wins on every scene
 
 
@@ -43,7 +48,12 @@ def unsupported(problem: Problem) -> Shape:
         raise EquilibriumError(
             "the membrane without supports does not stand by itself (no prestress, or a slack part): lower membrane.rest_scale"
         )
-    return Shape(found.positions, np.zeros_like(problem.supports.rows, dtype=float), factor, found.factorizations + 1)
+    return Shape(
+        found.positions,
+        np.zeros_like(problem.supports.rows, dtype=float),
+        factor,
+        found.factorizations + (factor is not found.factor),
+    )
 
 
 def largest_weight(problem: Problem, shape: Shape) -> float:
@@ -81,7 +91,31 @@ def at_target(problem: Problem) -> Shape | None:
     amplitudes = problem.supports.amplitudes(wanted)
     level = NOTHING * max(float(sizes(wanted).max()), float(np.abs(problem.membrane.tension(target)).max()))
     amplitudes[sizes(amplitudes) <= level] = 0.0
-    return rest(problem, Shape(target, amplitudes, problem.factor_at(target), 0))
+    return rest(problem, Shape(target, amplitudes, problem.factor_at(target), 1))
+
+
+def pulled(problem: Problem) -> Shape | None:
+    """The membrane drawn to the target by a weak spring at each vertex: the target denoised, under the forces that hold it there.
+
+    One Newton step from the flat start, (K + t M) d = f + g - t M (x - xhat). Noise is averaged over some neighbours, while the
+    forces p = -f - g keep sharp peaks where the target needs a support. None where the membrane would not stand so.
+    """
+    membrane, start = problem.membrane, problem.scene.start
+    forces = membrane.forces(start) + problem.loads
+    offset = (problem.metric @ problem.offset(start).ravel()).reshape(-1, 3)
+    stiffness = float(membrane.stiffness(start).diagonal().mean()) / (float(problem.metric.diagonal().mean()) or 1.0)
+    for share in PULLS:
+        pull = share * stiffness
+        tied = membrane.tied_factor_at(start, pull * problem.scene.metric[membrane.free])
+        if not tied.positive_definite:
+            continue
+        positions = start.copy()
+        positions[membrane.free] += tied.solve(forces - pull * offset)
+        factor = problem.factor_at(positions)
+        if factor.positive_definite:
+            amplitudes = problem.supports.amplitudes(-membrane.forces(positions) - problem.loads)
+            return rest(problem, Shape(positions, amplitudes, factor, 2))
+    return None
 
 
 def given(problem: Problem, positions: Floats, forces: Floats) -> Shape | None:
@@ -90,7 +124,7 @@ def given(problem: Problem, positions: Floats, forces: Floats) -> Shape | None:
     placed = problem.scene.clean_target.copy()
     placed[free] = positions[free]
     amplitudes = problem.supports.amplitudes(forces[free])
-    return rest(problem, Shape(placed, amplitudes, problem.factor_at(placed), 0))
+    return rest(problem, Shape(placed, amplitudes, problem.factor_at(placed), 1))
 
 
 def is_planted(problem: Problem, shape: Shape) -> bool:
@@ -117,32 +151,33 @@ def choose_starts(problem: Problem, start: tuple[Floats, Floats] | None, skipped
         raise InputError(f"solver.start is {choice!r}: hand the positions and forces of that result to solve(start=...)")
     if choice == "heavy":
         return heavy_starts(problem)
-    shape = at_target(problem)
     if choice == "target":
-        return [Start("target", _found(shape, "near the target"))]
-    return _automatic(problem, shape, skipped)
+        return [Start("target", _found(at_target(problem), "near the target"))]
+    return _automatic(problem, skipped)
 
 
-def _automatic(problem: Problem, shape: Shape | None, skipped: list[str]) -> list[Start]:
-    """The target's `shape` where few supports hold it or nothing else stands, else few masts first."""
+def _automatic(problem: Problem, skipped: list[str]) -> list[Start]:
+    """The target where few supports hold it, else the target denoised, else what stands."""
+    shape = at_target(problem)
     if shape is not None and is_planted(problem, shape):
-        skipped.append("heavy starts: few supports hold the target as it is")
+        skipped.append("a search for other starts: few supports hold the target as it is")
         return [Start("target", shape)]
+    if not tells_sizes(problem):
+        skipped.append("other first weights: the penalty's own never change")
+        return [Start("unsupported", unsupported(problem))]
+    drawn = pulled(problem)
+    if drawn is not None:
+        return [Start("pulled", drawn)]
     try:
-        starts = heavy_starts(problem)
+        return heavy_starts(problem)
     except EquilibriumError:
         if shape is None:
             raise
         skipped.append("heavy starts: the membrane does not stand without supports")
         return [Start("target", shape)]
-    skipped.append("start at the target: its own springs ask for a support almost everywhere")
-    if not _reweights(problem):
-        skipped.append("other first weights: the penalty's own never change")
-        return [replace(starts[0], name="unsupported", weight=None)]
-    return starts
 
 
-def _reweights(problem: Problem) -> bool:
+def tells_sizes(problem: Problem) -> bool:
     """Whether the penalty's weight depends on the force: else every first weight leads the same way."""
     none, huge = problem.penalty.weight(np.array([0.0, 1e30]))
     return bool(none != huge)

@@ -14,8 +14,8 @@ from relax.factor.symbolic import Symbolic
 ROUND_OFF = 1e12  # size of the inverse beside the diagonal's from which on it is made of round-off
 UNSOLVED = 1e-6  # part of a trial right-hand side that an answer of any use does not leave
 UNEVEN = 1e6  # ratio of diagonal entries from which on a matrix is scaled before it is factorised
-REFINEMENTS = 8  # solves that a refinement may take; a factorisation costs some twenty
-CONTRACTION = 0.1
+REFINEMENTS = 8  # solves that a refinement may take; a factorisation costs six to twenty-five
+CONTRACTION = 1e-3  # of the residual by each, so that five do
 EPSILON = float(np.finfo(float).eps)
 
 
@@ -139,7 +139,7 @@ class Factor:
     def refine(self, matrix: csc_array, right: Floats) -> Floats | None:
         """A^-1 @ right for a matrix A near this one, to the last digits, by iterative refinement; right is (m,).
 
-        None where a step does not shrink the residual at least tenfold: A has moved too far, factorise it.
+        None where a step does not shrink the residual a thousandfold: A has moved too far, factorise it.
         """
         if self.singular:
             return None

@@ -154,7 +154,7 @@ LATER: dict[tuple[str, str], Later] = {
     ("supports", "always"): Later("supports that always stand are"),
     ("penalty", "name"): Later("this penalty is", ("log-sum", "mcp", "scad", "count")),
     ("solver", "method"): Later("this method is", ("lagrangian",)),
-    ("solver", "backend"): Later("this back-end is", ("osqp", "working-set")),
+    ("solver", "backend"): Later("this back-end is", ("osqp",)),
 }
 
 # keys that mean something only beside certain values of others: (section, key): (applies to these settings, the condition)

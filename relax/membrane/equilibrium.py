@@ -13,7 +13,7 @@ from relax.membrane.membrane import Membrane
 RESIDUAL = 1e-13  # aim, relative: what double precision reaches on meshes of 1e5 vertices
 ENOUGH = 1e-11  # below this a residual that no longer falls is round-off
 FOUND = 1e-10  # what a result needs
-CHORD = 0.2  # an old factor is kept while it shrinks the residual at least this much a step
+CHORDS = 8  # steps with an old factor that are cheaper than a new one
 LARGEST_LIMIT = 200
 LOST = 1e4  # farther away than this many scene sizes: nothing holds it
 
@@ -69,8 +69,9 @@ class _Newton:
 
     def measure(self, positions: Floats) -> tuple[Floats, float]:
         """Unbalanced force (n, 3) and its largest norm, relative."""
-        unbalanced = self.membrane.forces(positions) + self.applied
-        scale = max(np.abs(self.membrane.tension(positions)).max(), np.linalg.norm(self.applied, axis=1).max())
+        forces, tension = self.membrane.forces_and_tension(positions)
+        unbalanced = forces + self.applied
+        scale = max(np.abs(tension).max(), np.linalg.norm(self.applied, axis=1).max())
         largest = np.linalg.norm(unbalanced, axis=1).max()
         return unbalanced, float(largest / scale) if scale > 0 else 0.0
 
@@ -83,12 +84,12 @@ class _Newton:
         return _State(positions, unbalanced, residual, np.inf, factor)
 
     def step(self, state: _State) -> _State:
-        if state.factor is not None and state.residual <= CHORD * state.before and state.factor.positive_definite:
+        if state.factor is not None and _pays(state.residual, state.before) and state.factor.positive_definite:
             chord = self._moved(state, state.factor.solve(state.unbalanced), 1.0)
-            if chord.residual <= CHORD * state.residual:
+            if _pays(chord.residual, state.residual):
                 return replace(chord, factor=state.factor, factorizations=state.factorizations)
         factor = self.membrane.factor_at(state.positions)
-        count = state.factorizations + 1
+        count = state.factorizations + (factor is not state.factor)
         direct = factor
         if not factor.positive_definite:
             direct = self.membrane.lifted_factor_at(state.positions)
@@ -133,6 +134,13 @@ class _Newton:
 
     def record(self, state: _State) -> dict[str, float]:
         return {"residual": state.residual}
+
+
+def _pays(residual: float, before: float) -> bool:
+    """Whether steps that shrink the residual as much as this one did reach round-off before a new factor would be cheaper."""
+    if not np.isfinite(before) or residual <= RESIDUAL:
+        return True
+    return residual < before and np.log(residual / RESIDUAL) <= CHORDS * np.log(before / residual)
 
 
 def find_equilibrium(

@@ -89,10 +89,21 @@ class Membrane:
         pointer = np.concatenate([[0], np.cumsum(np.bincount(row, minlength=size))])
         return pointer, column[order], source[order]
 
+    @property
+    def neighbours(self) -> tuple[Ints, Ints]:
+        """Graph of the free vertices, each its own neighbour: row pointer (n + 1,) and columns."""
+        pointer, column, _ = self._blocks
+        return pointer, column
+
     @cached_property
     def _symbolic(self) -> Symbolic:
         """What the factorisations of K share, once a mesh."""
         return Symbolic(3, self.engine)
+
+    @cached_property
+    def _scalar_symbolic(self) -> Symbolic:
+        """The same of one coordinate of a linear membrane."""
+        return Symbolic(1, self.engine)
 
     @cached_property
     def linear(self) -> bool:
@@ -104,7 +115,7 @@ class Membrane:
         """Of the constant K = S (x) I_3 of force densities, by one scalar factorisation, once a membrane."""
         stiffness = self._linear_stiffness
         bound = self._pivot_bound(self.spring_constant, self.spring_constant)
-        scalar = Factor(csc_array(stiffness[::3, ::3]), Symbolic(1, self.engine), bound)
+        scalar = Factor(csc_array(stiffness[::3, ::3]), self._scalar_symbolic, bound)
         return ScalarFactor(stiffness, scalar)
 
     @cached_property
@@ -149,6 +160,13 @@ class Membrane:
         bound = self._pivot_bound(pull, np.maximum(pull, state.stiffness), lift)
         return Factor(self.taut_stiffness(positions, lift), self._symbolic, bound)
 
+    def tied_factor_at(self, positions: Floats, ties: Floats) -> Factor:
+        """The same of K with a spring of stiffness `ties` (n, 3, 3) from each free vertex to the ground."""
+        whole = self._assemble(self._edge_stiffness(positions), ties.reshape(-1, 9))
+        if self.linear and np.array_equal(ties, ties[:, :1, :1] * np.eye(3)):
+            return ScalarFactor(whole, Factor(csc_array(whole[::3, ::3]), self._scalar_symbolic))
+        return Factor(whole, self._symbolic)
+
     def edge_vectors(self, positions: Floats) -> Floats:
         """Edge vectors v = x_b - x_a, (E, 3) metres."""
         return positions[self.edges[:, 1]] - positions[self.edges[:, 0]]
@@ -176,18 +194,26 @@ class Membrane:
 
     def forces(self, positions: Floats) -> Floats:
         """Internal force f on each free vertex (n, 3) newtons: minus the gradient of the energy."""
+        return self.forces_and_tension(positions)[0]
+
+    def forces_and_tension(self, positions: Floats) -> tuple[Floats, Floats]:
+        """Both in one pass over the edges: (n, 3) and (E,) newtons."""
         state = self.edge_state(positions)
-        return -(self._incidence @ ((state.density * state.length)[:, None] * state.direction))
+        tension = state.density * state.length
+        return -(self._incidence @ (tension[:, None] * state.direction)), tension
 
     def stiffness(self, positions: Floats) -> csc_array:
         """K = -df/dx (3n, 3n), symmetric: edge blocks q I + (e'' - q) u u^T (MATHEMATICS.md, "Membrane")."""
         if self.linear:
             return self._linear_stiffness
+        return self._assemble(self._edge_stiffness(positions))
+
+    def _edge_stiffness(self, positions: Floats) -> Floats:
         state = self.edge_state(positions)
         outer = state.direction[:, :, None] * state.direction[:, None, :]
-        blocks = (state.stiffness - state.density)[:, None, None] * outer
+        blocks: Floats = (state.stiffness - state.density)[:, None, None] * outer
         blocks += state.density[:, None, None] * np.eye(3)
-        return self._assemble(blocks)
+        return blocks
 
     def taut_stiffness(self, positions: Floats, lift: float = 0.0) -> csc_array:
         """K without the parts that pushing edges make negative, positive semidefinite, and with `lift` added to its diagonal."""
@@ -196,7 +222,7 @@ class Membrane:
         outer = state.direction[:, :, None] * state.direction[:, None, :]
         blocks = (np.maximum(state.stiffness, pull) - pull)[:, None, None] * outer
         blocks += pull[:, None, None] * np.eye(3)
-        return self._assemble(blocks, lift)
+        return self._assemble(blocks, lift * np.eye(3).ravel())
 
     def stiffness_turn(self, positions: Floats, along: Floats) -> csc_array:
         """T (3n, 3n): the derivative of K @ along with respect to the positions (MATHEMATICS.md, "Reduced form").
@@ -218,10 +244,10 @@ class Membrane:
         blocks = rate * (uw * (np.eye(3) - 3 * outer) + mixed + mixed.transpose(0, 2, 1)) + slope * uw * outer
         return self._assemble(blocks)
 
-    def _assemble(self, blocks: Floats, lift: float = 0.0) -> csc_array:
-        """Sum edge blocks (E, 3, 3) into the free vertices' matrix; the pattern is the mesh's and never changes."""
+    def _assemble(self, blocks: Floats, ground: Floats | float = 0.0) -> csc_array:
+        """Sum edge blocks (E, 3, 3) and `ground` (n, 9) into the free vertices' matrix; the pattern is the mesh's, always."""
         pointer, column, source = self._blocks
-        diagonal = self._ends @ blocks.reshape(-1, 9) + lift * np.eye(3).ravel()
+        diagonal = self._ends @ blocks.reshape(-1, 9) + ground
         values = np.concatenate([-blocks.reshape(-1, 9), diagonal])[source].reshape(-1, 3, 3)
         size = 3 * len(self.free)
         rows = bsr_array((values, column, pointer), shape=(size, size)).tocsr()

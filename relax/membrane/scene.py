@@ -9,6 +9,7 @@ import numpy as np
 
 from relax.arrays import Floats, Mask, lock_arrays
 from relax.errors import InputError
+from relax.factor import Engine
 from relax.membrane.membrane import Membrane
 from relax.membrane.mesh import (
     Mesh,
@@ -44,6 +45,8 @@ class Scene:
     support_weight : (V,)
         Factor of each vertex's penalty.
     settings : the scene file's sections and keys, in full, as resolved
+    engine : str or Engine
+        Who factorises the stiffness, see Membrane; no part of a result.
     """
 
     mesh: Mesh
@@ -58,6 +61,7 @@ class Scene:
     metric: Floats
     support_weight: Floats
     settings: Settings = field(repr=False)
+    engine: str | Engine = "auto"
 
     def __post_init__(self) -> None:
         lock_arrays(self)
@@ -74,7 +78,7 @@ class Scene:
     @cached_property
     def membrane(self) -> Membrane:
         law = SPRINGS[self.settings["membrane"]["springs"]]
-        return Membrane(self.mesh.edges, self.rest_length, self.spring_constant, law, self.fixed)
+        return Membrane(self.mesh.edges, self.rest_length, self.spring_constant, law, self.fixed, self.engine)
 
     @cached_property
     def warnings(self) -> tuple[str, ...]:

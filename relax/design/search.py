@@ -1,0 +1,250 @@
+"""The search for few supports: at each shape a small model of the whole problem, searched at little cost, then tried in truth.
+
+On a working set, the supports that stand and the peaks of the dual field, the problem is small and dense (model.py), and looking
+for few forces there costs nothing beside a factorisation: reweighting from several smoothings, supports left out that do not
+earn their cost. What the model finds best is brought to rest and counts only if the objective falls there.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from relax.arrays import Floats, Ints
+from relax.design.model import Model, empty_model
+from relax.design.problem import Problem
+from relax.design.refit import Shape, rest, with_dual
+from relax.iterate import Stop
+from relax.sparsity.supports import sizes
+
+DENSE = 0.5  # share of the candidates: more forces than this are no support yet
+PEAKS = 24  # of dense forces: candidates of a first model at most
+STRONG = 0.2  # share of the largest peak that a peak of the forces must reach to be looked at
+NEWCOMERS = 8  # peaks of the dual that enter a model at once, or as many as stand where more stand
+ROUNDS = 4  # of newcomers to a first model
+ROUND_PAYS = 0.01  # relative fall of the model's value for which another round is worth its columns
+CLOSE = 6  # mean edge lengths within which two supports may be one
+REARRANGED = 8  # pairs of neighbours that are looked at closer; where more stand close together the weight fits noise
+REARRANGED_PAYS = 1e-3  # relative fall that the model must promise for a support moved by itself
+PROPOSALS = 2  # the model's best are tried at true equilibrium, no more
+GAIN = 1e-4  # relative fall of the objective below which Newton on the support is the better next step
+SETTLED = 0.01  # relative fall with the same supports after which Newton on them is the better next step
+OPTIMISM = 2.0  # by which a newcomer's dual is raised when one asks whether it could pay: others will make room
+SHARES = np.geomspace(1e-3, 1.0, 16)  # of the force at which a newcomer alone would gain most
+
+
+@dataclass(frozen=True)
+class State:
+    """A shape on the way; its objective is infinite while forces stand almost everywhere."""
+
+    shape: Shape
+    objective: float
+    note: str = ""
+    stop: Stop | None = None
+    failure: str = ""  # why nothing was gained though the model promised it
+
+
+@dataclass(frozen=True)
+class Search:
+    """Steps from model to model.
+
+    Parameters
+    ----------
+    problem : Problem
+        Its penalty tells small forces from large ones (else every smoothing leads the same way).
+    """
+
+    problem: Problem
+
+    def begin(self, shape: Shape) -> State:
+        """The first state."""
+        standing = self.problem.standing(shape.amplitudes)
+        dense = np.count_nonzero(standing) > max(PEAKS, DENSE * len(standing))
+        return State(shape, np.inf if dense else self.problem.objective(shape.positions, shape.amplitudes))
+
+    def step(self, state: State) -> State:
+        """The first of the model's best proposals that pays at true equilibrium."""
+        if np.isinf(state.objective):
+            shape, model = self._first_model(state.shape)
+            moved = self._tried(replace(state, shape=shape), model, [model.small.pruned(model.small.continued())])
+            # a weight so light that forces everywhere pay: few would be worse than what is there, if that stands
+            own = self.problem.objective(shape.positions, shape.amplitudes)
+            if moved.stop or moved.objective < own or not model.factor.positive_definite:
+                return moved
+            return replace(state, objective=own, stop=Stop.CONVERGED)
+        shape, model, slides = self._model(state.shape)
+        small, here = model.small, shape.amplitudes
+        starts = [here, self._shifted(here, slides)]
+        proposals = [small.pruned(small.continued()), *(small.pruned(start[model.members]) for start in starts)]
+        proposals.append(np.zeros_like(proposals[0]))  # nothing at all: each may pay beside the others, and together not
+        moved = self._tried(replace(state, shape=shape), model, proposals)
+        return moved if moved.stop is None else self._rearranged(moved, model, slides)
+
+    def _rearranged(self, state: State, model: Model, slides: Ints) -> State:
+        """Before the search ends: one support at a time moves a step uphill, or two that stand close together become one."""
+        here = state.shape.amplitudes
+        pairs, halfway = self._close_pairs(state.shape)
+        entering = np.setdiff1d(halfway, model.members)
+        if entering.size:
+            model = model.enlarged(entering)
+        moves = [slides[i : i + 1] for i in range(len(slides))]
+        moves += [np.column_stack([pair, [vertex, vertex]]) for pair, vertex in zip(pairs, halfway, strict=True)]
+        starts = [self._shifted(here, move)[model.members] for move in moves]
+        likely = sorted([model.small.once(start) for start in starts], key=model.value)[:REARRANGED]
+        moved = self._tried(state, model, [model.small.pruned(start) for start in likely], REARRANGED_PAYS)
+        return moved if moved.stop is None else replace(state, shape=moved.shape)
+
+    def _shifted(self, amplitudes: Floats, moves: Ints) -> Floats:
+        """Amplitudes (m, 3) with the forces at moves[:, 0] added to those at moves[:, 1]."""
+        shifted = amplitudes.copy()
+        shifted[moves[:, 0]] = 0.0
+        np.add.at(shifted, moves[:, 1], amplitudes[moves[:, 0]])
+        return shifted
+
+    def _tried(self, state: State, model: Model, proposals: list[Floats], promise: float = GAIN) -> State:
+        """The state after the best proposal that pays in truth, or the same at its end; `promise`: what is asked of a model."""
+        shape, note = state.shape, f"model of {len(model.members)} candidates"
+        failure = ""
+        # E_dist + R is never negative: where the model says so it was left behind, the farther the less it is believed
+        likely = sorted(proposals, key=lambda proposal: (model.value(proposal) < 0, abs(model.value(proposal))))
+        for proposal in likely[:PROPOSALS]:
+            if model.value(proposal) >= (1 - promise) * state.objective:
+                break
+            failure = "nothing that the model proposed lowers the objective in truth"
+            moved = self._moved(shape, model, proposal)
+            if moved is None:
+                continue
+            shape = replace(shape, factorizations=moved.factorizations)
+            objective = self.problem.objective(moved.positions, moved.amplitudes)
+            if objective < (1 - GAIN) * state.objective:
+                return State(moved, objective, note, self._settled(state, moved, objective))
+        stop = Stop.STALLED if failure else Stop.CONVERGED
+        return replace(state, shape=shape, stop=stop, failure=failure, note=f"{note} has nothing better")
+
+    def _settled(self, before: State, shape: Shape, objective: float) -> Stop | None:
+        """Whether the same supports stand and little was gained, so that the rest is Newton's."""
+        same = np.array_equal(self.problem.standing(shape.amplitudes), self.problem.standing(before.shape.amplitudes))
+        return Stop.CONVERGED if same and objective > (1 - SETTLED) * before.objective else None
+
+    def _model(self, shape: Shape) -> tuple[Shape, Model, Ints]:
+        """The model at a shape under few forces: with those, the peaks that could pay, and a neighbour uphill of each."""
+        problem = self.problem
+        shape, factor, field = with_dual(problem, shape)
+        dual = problem.supports.amplitudes(field)
+        distance = problem.distance(shape.positions)
+        model = empty_model(problem, factor, problem.curvature(shape.positions, field), shape.amplitudes, distance, dual)
+        standing = np.flatnonzero(problem.standing(shape.amplitudes))
+        if standing.size:
+            model = model.enlarged(standing)
+        steep = sizes(dual) / problem.supports.weights
+        uphill = self._uphill(steep, standing)
+        entering = np.union1d(self._newcomers(model, dual), np.setdiff1d(uphill, standing))
+        slides = np.column_stack([standing, uphill])[uphill != standing]
+        return shape, model.enlarged(entering) if entering.size else model, slides
+
+    def _first_model(self, shape: Shape) -> tuple[Shape, Model]:
+        """The model at a shape under forces almost everywhere: expanded at no forces, with the peaks of forces and dual."""
+        problem = self.problem
+        factor = shape.factor or problem.factor_at(shape.positions)
+        if shape.factor is None:  # else the very shape: that nothing came of it is told by that
+            shape = shape.with_factor(factor)
+        unbalanced = (problem.membrane.forces(shape.positions) + problem.loads).ravel()
+        offset = problem.offset(shape.positions).ravel() + factor.solve(unbalanced)
+        pulled = problem.metric @ offset
+        dual = problem.supports.amplitudes(factor.solve(2 * pulled).reshape(-1, 3))
+        model = empty_model(problem, factor, problem.metric, np.zeros_like(dual), float(offset @ pulled), dual)
+        force = sizes(shape.amplitudes)
+        peaks = self._peaks(force)[:PEAKS]
+        model = model.enlarged(peaks[force[peaks] > STRONG * force.max()])
+        value = np.inf
+        for _ in range(ROUNDS):
+            best = model.small.pruned(model.small.continued())
+            if model.value(best) > (1 - ROUND_PAYS) * value:
+                break
+            value = model.value(best)
+            entering = self._newcomers(model, model.dual_at(best), int(np.count_nonzero(sizes(best))))
+            if not entering.size:
+                break
+            model = model.enlarged(entering)
+        return shape, model
+
+    def _newcomers(self, model: Model, dual: Floats, standing: int | None = None) -> Ints:
+        """Peaks of the dual field outside the model where a force could pay for itself, the steepest first."""
+        problem = self.problem
+        count = len(model.members) if standing is None else standing
+        steep = sizes(dual) / problem.supports.weights
+        steep[model.members] = 0.0
+        peaks = self._peaks(steep)
+        peaks = peaks[steep[peaks] > 0][: max(NEWCOMERS, count)]
+        if not model.members.size:
+            return peaks
+        # how far a unit force moves the membrane is not known without its column: the members' mean tells the order of it
+        along = np.square(dual[peaks]) / np.square(sizes(dual)[peaks, None])
+        bend = along @ np.diag(model.small.quadratic).reshape(-1, along.shape[1]).mean(axis=0)
+        gain = OPTIMISM * sizes(dual)[peaks]
+        force = SHARES[:, None] * gain / (2 * bend)
+        # a force below the penalty's resolution is none, however little it costs
+        priced = np.maximum(force, problem.penalty.resolution)
+        cost = problem.strength * problem.supports.weights[peaks] * problem.penalty.value(priced)
+        return peaks[(gain * force - bend * force**2 - cost).max(axis=0) > 0]
+
+    @cached_property
+    def _neighbours(self) -> tuple[Ints, Ints]:
+        """Row pointer and columns of the candidates' graph, each its own neighbour."""
+        pointer, column = self.problem.membrane.neighbours
+        vertices = self.problem.supports.vertices
+        index = np.full(self.problem.supports.free, -1)
+        index[vertices] = np.arange(len(vertices))
+        row = np.repeat(np.arange(len(pointer) - 1), np.diff(pointer))
+        keep = (index[row] >= 0) & (index[column] >= 0)
+        return np.searchsorted(index[row[keep]], np.arange(len(vertices) + 1)), index[column[keep]]
+
+    def _uphill(self, field: Floats, at: Ints) -> Ints:
+        """The neighbour of each candidate in `at` where `field` (m,) is largest, itself perhaps."""
+        pointer, column = self._neighbours
+        return np.array([max(column[pointer[i] : pointer[i + 1]], key=field.__getitem__) for i in at], dtype=np.int64)
+
+    def _close_pairs(self, shape: Shape) -> tuple[Ints, Ints]:
+        """Supports that stand close together and pull the same way (P, 2), and the candidate halfway, by their forces (P,)."""
+        problem = self.problem
+        standing = np.flatnonzero(problem.standing(shape.amplitudes))
+        place = shape.positions[problem.membrane.free][problem.supports.vertices]
+        edge = np.linalg.norm(problem.membrane.edge_vectors(shape.positions), axis=1).mean()
+        close = KDTree(place[standing].reshape(-1, 3)).query_pairs(CLOSE * edge, output_type="ndarray")
+        one, other = standing[close.reshape(-1, 2)].T
+        force = shape.amplitudes
+        alike = np.einsum("ij,ij->i", force[one], force[other]) > 0
+        one, other = one[alike], other[alike]
+        share = sizes(force[one]) / (sizes(force[one]) + sizes(force[other]))
+        middle = share[:, None] * place[one] + (1 - share[:, None]) * place[other]
+        return np.column_stack([one, other]), np.asarray(KDTree(place).query(middle)[1], dtype=np.int64)
+
+    def _peaks(self, field: Floats) -> Ints:
+        """Candidates where `field` (m,) has a local maximum on the mesh, the highest first."""
+        pointer, column = self._neighbours
+        peaks = np.flatnonzero(field >= np.maximum.reduceat(field[column], pointer[:-1]))
+        return peaks[np.argsort(-field[peaks])]
+
+    def _moved(self, shape: Shape, model: Model, proposal: Floats) -> Shape | None:
+        """The shape at rest under the proposed forces, started where K predicts it; None if it finds no rest."""
+        problem = self.problem
+        amplitudes = model.whole(proposal)
+        shift = model.factor.solve(problem.supports.forces(amplitudes - shape.amplitudes))
+        guess = shape.positions.copy()
+        guess[problem.membrane.free] += shift
+        return rest(problem, Shape(guess, amplitudes, model.factor, shape.factorizations))
+
+    def done(self, state: State) -> Stop | None:
+        """Whether the model had nothing better, or nothing that held in truth."""
+        return state.stop
+
+    def record(self, state: State) -> dict[str, object]:
+        """Figures of the state for the trace."""
+        shape = state.shape
+        return {
+            "objective": self.problem.objective(shape.positions, shape.amplitudes),
+            "supports": int(shape.amplitudes.any(axis=1).sum()),
+            "note": state.note,
+            "shape": shape,
+        }
