@@ -18,6 +18,7 @@ EXPERIMENTS = Path(__file__).parent.parent / "experiments"
         ("price", {"case", "vertices", "engine", "inverse / forward", "at most", "exact", "stationarity", "converged"}),
         ("scale", {"vertices", "engine", "inverse, s", "overall", "peak, GB", "converged"}),
         ("peers", {"case", "method", "times relax", "before rounding", "objective", "same supports", "converged"}),
+        ("ablation", {"skip", "scene", "there", "with, s", "without, s", "saved", "apart", "same supports", "as said"}),
         ("factors", {"engine", "first, s", "again, s", "memory, MB", "60 columns, s"}),
     ],
 )

@@ -112,6 +112,8 @@ class Solution:
         Objective, and a lower bound of the optimum from the dual point nearest at hand.
     ran : str
         The back-ends that made it.
+    looked : (k,) int or None
+        Groups whose columns of K^-1 were made; None for all.
     """
 
     amplitudes: Floats
@@ -120,6 +122,7 @@ class Solution:
     value: float
     bound: float
     ran: str = ""
+    looked: Ints | None = None
 
     def __post_init__(self) -> None:
         lock_arrays(self)

@@ -91,4 +91,5 @@ def solve_on_working_set(step: Subproblem, start: Floats, largest: int, gap: flo
         Relative duality gap that is good enough.
     """
     method = _WorkingSet(step, largest, gap)
-    return iterate(method, method.begin(start), LIMIT).state.solution
+    state = iterate(method, method.begin(start), LIMIT).state
+    return replace(state.solution, looked=state.members)

@@ -79,6 +79,7 @@ class _State:
     idle: int = 0  # steps in a row that gained next to nothing
     best: float = np.inf  # the smallest residual so far
     stuck: bool = False
+    kept: bool = False  # the step here went by columns and curvature of an earlier shape
 
 
 @dataclass(frozen=True)
@@ -108,11 +109,11 @@ class _Refit:
     def step(self, state: _State) -> _State:
         """A Newton step; one that gains nothing by a curvature from elsewhere is tried again with one made here."""
         moved = self._newton(state, state.bend or self._bend(state))
-        near = not state.fresh or state.bend is not None
-        if near and (moved.idle > state.idle or moved.stuck):
+        kept = state.bend is not None
+        if (kept or not state.fresh) and (moved.idle > state.idle or moved.stuck):
             here = replace(self.state(replace(state.shape, factor=None)), idle=state.idle, best=state.best)
-            moved = self._newton(here, self._bend(here))
-        return moved
+            moved, kept = self._newton(here, self._bend(here)), False
+        return replace(moved, kept=kept)
 
     def _bend(self, state: _State) -> _Bend:
         columns = state.factor.inverse_columns(self.problem.supports.rows[state.members].ravel())
@@ -197,6 +198,8 @@ class _Refit:
             "supports": len(state.members),
             "note": "Newton on the support",
             "shape": state.shape,
+            "looked": state.members,
+            "kept": state.kept,
         }
 
 

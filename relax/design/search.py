@@ -43,6 +43,7 @@ class State:
     note: str = ""
     stop: Stop | None = None
     failure: str = ""  # why nothing was gained though the model promised it
+    looked: frozenset[int] = frozenset()  # candidates that were members of a model, so far
 
 
 @dataclass(frozen=True)
@@ -93,7 +94,7 @@ class Search:
         starts = [self._shifted(here, move)[model.members] for move in moves]
         likely = sorted([model.small.once(start) for start in starts], key=model.value)[:REARRANGED]
         moved = self._tried(state, model, [model.small.pruned(start) for start in likely], REARRANGED_PAYS)
-        return moved if moved.stop is None else replace(state, shape=moved.shape)
+        return moved if moved.stop is None else replace(state, shape=moved.shape, looked=moved.looked)
 
     def _shifted(self, amplitudes: Floats, moves: Ints) -> Floats:
         """Amplitudes (m, 3) with the forces at moves[:, 0] added to those at moves[:, 1]."""
@@ -105,7 +106,7 @@ class Search:
     def _tried(self, state: State, model: Model, proposals: list[Floats], promise: float = GAIN) -> State:
         """The state after the best proposal that pays in truth, or the same at its end; `promise`: what is asked of a model."""
         shape, note = state.shape, f"model of {len(model.members)} candidates"
-        failure = ""
+        failure, looked = "", state.looked.union(model.members)
         # E_dist + R is never negative: where the model says so it was left behind, the farther the less it is believed
         likely = sorted(proposals, key=lambda proposal: (model.value(proposal) < 0, abs(model.value(proposal))))
         for proposal in likely[:PROPOSALS]:
@@ -118,9 +119,10 @@ class Search:
             shape = replace(shape, factorizations=moved.factorizations)
             objective = self.problem.objective(moved.positions, moved.amplitudes)
             if objective < (1 - GAIN) * state.objective:
-                return State(moved, objective, note, self._settled(state, moved, objective))
+                return State(moved, objective, note, self._settled(state, moved, objective), looked=looked)
         stop = Stop.STALLED if failure else Stop.CONVERGED
-        return replace(state, shape=shape, stop=stop, failure=failure, note=f"{note} has nothing better")
+        end = replace(state, shape=shape, stop=stop, failure=failure, looked=looked)
+        return replace(end, note=f"{note} has nothing better")
 
     def _settled(self, before: State, shape: Shape, objective: float) -> Stop | None:
         """Whether the same supports stand and little was gained, so that the rest is Newton's."""
@@ -247,4 +249,5 @@ class Search:
             "supports": int(shape.amplitudes.any(axis=1).sum()),
             "note": state.note,
             "shape": shape,
+            "looked": state.looked,
         }

@@ -35,6 +35,7 @@ class State:
     note: str = ""
     exhausted: bool = False
     failure: str = ""  # why the back-end gave no step
+    looked: frozenset[int] = frozenset()  # candidates whose columns of K^-1 were made, so far
 
 
 @dataclass(frozen=True)
@@ -71,6 +72,8 @@ class SequentialConvex:
                 solution = self.backend(subproblem.damped(damping), shape.amplitudes)
             except BackendError as error:
                 return replace(state, shape=shape, exhausted=True, failure=str(error))
+            looked = range(len(weights)) if solution.looked is None else solution.looked
+            state = replace(state, looked=state.looked.union(looked))
             promised = before - self._model(subproblem, solution.displacement, solution.amplitudes)
             if promised <= ENOUGH * before:
                 return replace(state, shape=shape, exhausted=True, note=f"{solution.ran}, nothing more to gain")
@@ -88,6 +91,7 @@ class SequentialConvex:
                     damping=_eased(damping) if good else damping,
                     settled=same or small,
                     note=solution.ran + (f", damping {damping:.2g}" if damping else ""),
+                    looked=state.looked,
                 )
         return replace(state, shape=shape, exhausted=True, note="every step was refused")
 
@@ -113,6 +117,7 @@ class SequentialConvex:
             "supports": int(shape.amplitudes.any(axis=1).sum()),
             "note": state.note,
             "shape": shape,
+            "looked": state.looked,
         }
 
 

@@ -1,8 +1,10 @@
 """The front door: from a problem to a design, its supports rounded and its figures judged."""
 
 import copy
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -10,8 +12,10 @@ from threadpoolctl import threadpool_limits
 
 from relax.arrays import Floats
 from relax.convex.backends import BACKENDS, Backend
+from relax.design.ledger import sentences
 from relax.design.masts import Mast, standing_masts
 from relax.design.optimality import EQUILIBRIUM, OFF_SUPPORT, Certificate, judge
+from relax.design.parts import Part, PartJournal, assembled, counted, split
 from relax.design.problem import Problem
 from relax.design.refit import Shape, refit
 from relax.design.rounding import round_supports, seated
@@ -65,12 +69,27 @@ class Design:
 
 @dataclass(frozen=True)
 class _Outcome:
-    """How one start ended; `trouble` says why where the membrane would no longer stand."""
+    """How one start ended, judged when somebody asks; `trouble` says why where the membrane would no longer stand."""
 
+    problem: Problem
     shape: Shape
     unrounded: Shape
-    certificate: Certificate
+    refit: str = "penalised"
     trouble: str = ""
+
+    @cached_property
+    def certificate(self) -> Certificate:
+        """The judge's word on the shape."""
+        return judge(self.problem, self.shape.positions, self.problem.all_forces(self.shape.amplitudes), self.refit)
+
+
+@dataclass(frozen=True)
+class _Found:
+    """What all starts came to; `factorizations` is what was spent on them."""
+
+    best: _Outcome
+    factorizations: int
+    interrupted: bool
 
 
 @dataclass(frozen=True)
@@ -108,37 +127,109 @@ def solve(
     with threadpool_limits(1, "blas"):
         problem = resolve_weight(problem)
         named = problem.scene.settings["solver"]["backend"]
+        journal = Journal(problem, callback)
+        if backend is None and named != "cvxpy":
+            journal.skipped.append("the import of cvxpy: no convex step is handed to it")
         if backend is None and named != "auto":
             backend = BACKENDS[named]
-        return _solve(problem, start, _Tools(Journal(problem, callback), backend))
+        return _solve(problem, start, _Tools(journal, backend))
 
 
 def _solve(problem: Problem, start: tuple[Floats, Floats] | None, tools: _Tools) -> Design:
     journal = tools.journal
+    parts = split(problem)
+    if parts:
+        found = _solve_apart(problem, parts, start, tools)
+    else:
+        found = _best_of(problem, choose_starts(problem, start, journal.skipped), tools)
+    stop = Stop.INTERRUPTED.value if found.interrupted else _why(found.best)
+    design = _design(problem, found.best, journal, stop)
+    said = sentences(problem, journal, found.factorizations)
+    return replace(design, factorizations=found.factorizations, skipped=said)
+
+
+def _best_of(problem: Problem, starts: list[Start], tools: _Tools) -> _Found:
+    """The best that the starts lead to, or of what was seen before an interrupt."""
+    journal = tools.journal
     outcomes: list[_Outcome] = []
-    skipped: list[str] = []
-    spent = 0
+    spent, interrupted = 0, False
     try:
-        starts = choose_starts(problem, start, skipped)
         for begin in starts:
             if _agree(outcomes):
-                skipped.append(f"start {begin.name}: two starts ended at the same supports")
+                journal.skipped.append(f"start {begin.name}: two starts ended at the same supports")
                 break
             outcomes.append(_run(problem, begin, tools))
             if begin.name == "pulled" and not outcomes[-1].certificate.converged:
                 starts += _others(problem, nothing=outcomes[-1].shape is begin.shape)
-        best = min(outcomes, key=_rank)
-        if problem.scene.settings["rounding"]["refit"] == "debiased":
+        best = outcomes[0] if len(outcomes) == 1 else min(outcomes, key=_rank)
+        if _last_refit(problem) == "debiased":
             journal.stage = "debiasing"
             shape = refit(problem, best.shape, "debiased", journal)
             spent += shape.factorizations - best.shape.factorizations
-            best = replace(best, shape=shape, certificate=_judged(problem, shape))
-        stop = _why(best)
+            best = replace(best, shape=shape, refit="debiased")
     except KeyboardInterrupt:
         best = _best_so_far(problem, outcomes, journal)
-        stop = Stop.INTERRUPTED.value
+        interrupted = True
+    if best.shape.factor is not None and best.shape.factor.proven:
+        journal.skipped.append("a trial of the stiffness: every pivot is proven positive")
     spent += sum(each.shape.factorizations for each in outcomes) or best.shape.factorizations
-    return replace(_design(problem, best, journal, stop), skipped=tuple(skipped), factorizations=spent)
+    return _Found(best, spent, interrupted)
+
+
+def _solve_apart(problem: Problem, parts: Sequence[Part], start: tuple[Floats, Floats] | None, tools: _Tools) -> _Found:
+    """Each part by itself, the others at rest where they start or ended; after an interrupt the rest stay at their start."""
+    journal = tools.journal
+    said: list[list[str]] = [[] for _ in parts]
+    starts = [_starts_of(part, start, words) for part, words in zip(parts, said, strict=True)]
+    shapes = [first.shape for first, *_ in starts]
+    unrounded, journals, troubles = list(shapes), [], []
+    spent, interrupted = 0, False
+    for index, part in enumerate(parts):
+        journals.append(PartJournal(journal, parts, shapes, index))
+        try:
+            found = _best_of(part.problem, starts[index], replace(tools, journal=journals[-1]))
+        except KeyboardInterrupt:  # before the first step of this part
+            if not journal.shapes:
+                raise
+            interrupted = True
+            break
+        shapes[index], unrounded[index] = found.best.shape, found.best.unrounded
+        said[index] += journals[-1].skipped
+        troubles += [f"part {index + 1}: {found.best.trouble}"] if found.best.trouble else []
+        spent += found.factorizations
+        interrupted = found.interrupted
+        if interrupted:
+            break
+    journal.tally = counted(problem, parts, [own.tally for own in journals])
+    journal.skipped += [_fallen_apart(problem, parts), *_shared(said)]
+    shape, rough = (assembled(problem, parts, each) for each in (shapes, unrounded))
+    return _Found(_Outcome(problem, shape, rough, _last_refit(problem), "; ".join(troubles)), spent, interrupted)
+
+
+def _fallen_apart(problem: Problem, parts: Sequence[Part]) -> str:
+    count = int(problem.membrane.parts.max()) + 1
+    shared = f", as {len(parts)} problems" if len(parts) < count else ""
+    return f"one problem of {len(problem.membrane.free)} free vertices: {count} parts solved apart{shared}"
+
+
+def _starts_of(part: Part, start: tuple[Floats, Floats] | None, skipped: list[str]) -> list[Start]:
+    """The starts of one part; what is wrong with it names the part."""
+    try:
+        return choose_starts(part.problem, part.start(start), skipped)
+    except EquilibriumError as error:
+        vertex = part.vertices[part.problem.membrane.free[0]]
+        raise EquilibriumError(f"the part of the membrane that holds vertex {vertex}: {error}") from error
+
+
+def _shared(said: list[list[str]]) -> list[str]:
+    """Sentences of several parts, each once, with the number of parts that it holds for."""
+    counted = Counter(sentence for words in said for sentence in words)
+    return [line if count == len(said) else f"in {count} of {len(said)} parts, {line}" for line, count in counted.items()]
+
+
+def _last_refit(problem: Problem) -> str:
+    """How the scene's last solve treats the penalty."""
+    return str(problem.scene.settings["rounding"]["refit"])
 
 
 def _others(problem: Problem, *, nothing: bool) -> list[Start]:
@@ -155,14 +246,13 @@ def _run(problem: Problem, start: Start, tools: _Tools) -> _Outcome:
     """Convex steps and rounding from one start; a membrane that no longer stands ends them with what was reached."""
     trouble = ""
     journal = tools.journal
-    first = len(journal.shapes)
+    journal.first = len(journal.shapes)
     try:
         shape, unrounded = _steps_and_rounding(problem, start, tools)
     except EquilibriumError as error:
         trouble = str(error)
-        shape = unrounded = journal.shapes[-1] if len(journal.shapes) > first else start.shape
-    certificate = judge(problem, shape.positions, problem.all_forces(shape.amplitudes))
-    return _Outcome(shape, unrounded, certificate, trouble or journal.failure)
+        shape = unrounded = journal.shapes[-1] if len(journal.shapes) > journal.first else start.shape
+    return _Outcome(problem, shape, unrounded, trouble=trouble or journal.failure)
 
 
 def _rank(outcome: _Outcome) -> tuple[bool, bool, float]:
@@ -201,7 +291,8 @@ def _steps_and_rounding(problem: Problem, start: Start, tools: _Tools) -> tuple[
     tried: set[bytes] = set()
     for _ in range(ROUNDS):
         journal.stage = f"start {start.name}"
-        shape = _sequence(method, shape, STEPS, journal)
+        if len(keep):  # without candidates there is nothing to choose
+            shape = _sequence(method, shape, STEPS, journal)
         if journal.failure and shape is start.shape:
             return shape, shape  # forces almost everywhere, perhaps: there is nothing to round
         unrounded = unrounded or shape
@@ -213,6 +304,9 @@ def _steps_and_rounding(problem: Problem, start: Start, tools: _Tools) -> tuple[
             result = round_supports(problem, seated(problem, result), keep, journal)
         shape = result.shape
         if not result.missing.any():
+            if not tried and len(keep):
+                pruned = "" if result.dropped.any() else "nothing was pruned, "
+                journal.skipped.append(f"a second round of steps: {pruned}no candidate is missing")
             return shape, unrounded
         if best is not None and _objective(problem, shape) >= _objective(problem, best):
             break
@@ -234,7 +328,7 @@ def _sequence(method: SequentialConvex | Search, shape: Shape, limit: int, journ
     algorithm: Algorithm[Any] = method
     state = iterate(algorithm, method.begin(shape), limit, journal).state
     if state.failure:
-        journal.notes[-1] += f"; then {state.failure}"
+        journal.remark(f"; then {state.failure}")
     journal.failure = state.failure
     return state.shape
 
@@ -248,12 +342,6 @@ def _agree(outcomes: list[_Outcome]) -> bool:
     return bool(abs(one - other) <= SAME * abs(one) and np.array_equal(stands, also))
 
 
-def _judged(problem: Problem, shape: Shape) -> Certificate:
-    """The judge's word on a shape as the scene's last solve leaves it."""
-    refitted = problem.scene.settings["rounding"]["refit"]
-    return judge(problem, shape.positions, problem.all_forces(shape.amplitudes), refitted)
-
-
 def _best_so_far(problem: Problem, outcomes: list[_Outcome], journal: Journal) -> _Outcome:
     """What an interrupted run can show: the best finished start, or a step of another that is clearly lower (all are at rest)."""
     if not journal.shapes:
@@ -263,7 +351,7 @@ def _best_so_far(problem: Problem, outcomes: list[_Outcome], journal: Journal) -
         done = min(outcomes, key=_rank)
         if _objective(problem, shape) >= (1 - CLEARLY) * done.certificate.objective:
             shape = done.shape
-    return _Outcome(shape, shape, _judged(problem, shape))
+    return _Outcome(problem, shape, shape, _last_refit(problem))
 
 
 def _objective(problem: Problem, shape: Shape) -> float:
@@ -312,9 +400,10 @@ def form(problem: Problem, forces: Floats, callback: Callback | None = None) -> 
         nodal = forces[problem.membrane.free]
         found = find_equilibrium(problem.membrane, problem.scene.start, nodal + problem.loads)
         shape = Shape(found.positions, problem.supports.amplitudes(nodal), None, found.factorizations)
-        certificate = _judged(problem, shape)
+        outcome = _Outcome(problem, shape, shape, _last_refit(problem))
+        certificate = outcome.certificate
         journal.stage = "form-finding"
         note = "Newton on the stiffness matrix"
         journal({"shape": shape, "objective": certificate.objective, "supports": certificate.supports, "note": note})
         stop = Stop.UNSTABLE if found.found and not certificate.stable else found.stop
-        return replace(_design(problem, _Outcome(shape, shape, certificate), journal, stop.value), iterations=found.iterations)
+        return replace(_design(problem, outcome, journal, stop.value), iterations=found.iterations)

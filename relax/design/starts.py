@@ -165,7 +165,7 @@ def _automatic(problem: Problem, skipped: list[str]) -> list[Start]:
     if not tells_sizes(problem):
         skipped.append("other first weights: the penalty's own never change")
         return [Start("unsupported", unsupported(problem))]
-    drawn = pulled(problem)
+    drawn = pulled(problem) if len(problem.supports.vertices) else None
     if drawn is not None:
         return [Start("pulled", drawn)]
     try:
@@ -197,7 +197,7 @@ def _reached(problem: Problem, shape: Shape) -> bool:
 def heavy_starts(problem: Problem) -> list[Start]:
     """Few masts first: the unsupported membrane with first weights at several shares of the largest useful one."""
     shape = unsupported(problem)
-    if _reached(problem, shape):
+    if _reached(problem, shape) or not len(problem.supports.vertices):
         return [Start("unsupported", shape)]
     top = largest_weight(problem, shape)
     starts = [Start(f"heavy {share:g}", replace(shape, factorizations=0), share * top) for share in HEAVY]

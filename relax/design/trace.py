@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from relax.arrays import Floats
+from relax.arrays import Floats, Mask
 from relax.design.optimality import judge
 from relax.design.problem import Problem
 from relax.design.refit import Shape
@@ -45,6 +45,29 @@ class Trace:
         return np.array([np.nan if value is None else value for value in judged])
 
 
+@dataclass
+class Tally:
+    """Counts of what a run did not need, for its ledger.
+
+    Parameters
+    ----------
+    looked : (m,) bool
+        Candidates whose columns of K^-1 were made.
+    reused, compared : int
+        Steps that took no new factorisation, and all that had one from before.
+    kept : int
+        Newton steps that went by columns and curvature of an earlier shape.
+    patterns : int
+        Sparsity patterns that were factorised.
+    """
+
+    looked: Mask
+    reused: int = 0
+    compared: int = 0
+    kept: int = 0
+    patterns: int = 1
+
+
 class Journal:
     """Collects the steps of one run while it goes on; what the callback costs is taken off the clock."""
 
@@ -58,6 +81,9 @@ class Journal:
         self.notes: list[str] = []
         self.stage = ""
         self.failure = ""
+        self.skipped: list[str] = []
+        self.tally = Tally(np.zeros(len(problem.supports.vertices), dtype=bool))
+        self.first = 0  # the step at which the present start began
 
     def elapsed(self) -> float:
         """Seconds of the run so far."""
@@ -66,8 +92,13 @@ class Journal:
     def __call__(self, record: Record) -> None:
         """Keep a record; one that shows the same shape as the last is not a step."""
         shape: Shape = record["shape"]
+        self.tally.looked[list(record.get("looked", ()))] = True
         if self.shapes and shape.positions is self.shapes[-1].positions and shape.amplitudes is self.shapes[-1].amplitudes:
             return
+        if len(self.shapes) > self.first:
+            self.tally.compared += 1
+            self.tally.reused += shape.factorizations == self.shapes[-1].factorizations
+        self.tally.kept += record.get("kept", False)
         self.shapes.append(replace(shape, factor=None))
         self.objective.append(record["objective"])
         self.seconds.append(self.elapsed())
@@ -78,6 +109,10 @@ class Journal:
             kept = {"objective": record["objective"], "supports": record["supports"], "stationarity": stationarity}
             self.callback({"step": len(self.shapes) - 1, "seconds": self.seconds[-1], "note": self.notes[-1], **kept})
             self.paused += time.perf_counter() - before
+
+    def remark(self, words: str) -> None:
+        """Add words to the last note."""
+        self.notes[-1] += words
 
     def trace(self, unrounded: Shape) -> Trace:
         """What was collected, and the shape before rounding."""

@@ -83,7 +83,12 @@ class Factor:
         """Whether every pivot is positive, by their signs and a trial solve that would show one that is round-off."""
         if (self.matrix.diagonal() <= 0).any() or self._elimination is None or not self._elimination.definite:
             return False
-        return self.pivot_bound > VANISHED or self._trial(self._elimination)[0] < ROUND_OFF
+        return self.proven or self._trial(self._elimination)[0] < ROUND_OFF
+
+    @property
+    def proven(self) -> bool:
+        """Whether the pivots are known to be positive before one is looked at."""
+        return self.pivot_bound > VANISHED
 
     @cached_property
     def singular(self) -> bool:

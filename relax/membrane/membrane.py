@@ -96,6 +96,14 @@ class Membrane:
         return pointer, column
 
     @cached_property
+    def parts(self) -> Ints:
+        """The part of each free vertex (n,), from 0 on: a path of free vertices joins those of one part; fixed ones do not."""
+        pointer, column = self.neighbours
+        size = len(self.free)
+        graph = csr_array((np.ones(len(column), dtype=np.int8), column, pointer), shape=(size, size))
+        return connected_components(graph, directed=False)[1].astype(np.int64)
+
+    @cached_property
     def _symbolic(self) -> Symbolic:
         """What the factorisations of K share, once a mesh."""
         return Symbolic(3, self.engine)
@@ -125,10 +133,10 @@ class Membrane:
     @cached_property
     def _held(self) -> bool:
         """Whether every connected part has a fixed vertex."""
-        count = len(self.fixed)
-        a, b = self.edges.T
-        _, part = connected_components(csr_array((np.ones(len(a)), (a, b)), shape=(count, count)), directed=False)
-        return bool(np.isin(part, part[self.fixed]).all())
+        fixed = self.fixed[self.edges]
+        beside = self.edges[~fixed & fixed[:, ::-1]]  # free vertices, each on an edge to a fixed one
+        held = self.parts[np.searchsorted(self.free, beside)]
+        return len(np.unique(held)) == self.parts.max(initial=-1) + 1
 
     def _pivot_bound(self, least: Floats, largest: Floats, lift: float = 0.0) -> float:
         """A lower bound of every pivot of K as a part of its diagonal entry; 0 where this proves none.

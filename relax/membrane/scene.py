@@ -1,13 +1,13 @@
 """A scene: the membrane, the shape that is wanted and where supports may stand, as arrays, and the settings they came from."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from relax.arrays import Floats, Mask, lock_arrays
+from relax.arrays import Floats, Ints, Mask, lock_arrays
 from relax.errors import InputError
 from relax.factor import Engine
 from relax.membrane.membrane import Membrane
@@ -22,6 +22,8 @@ from relax.membrane.mesh import (
 from relax.membrane.springs import SPRINGS
 
 Settings = Mapping[str, Mapping[str, Any]]
+BY_VERTEX = ("target", "clean_target", "start", "loads", "fixed", "candidates", "metric", "support_weight")
+MOST_PARTS = 32  # scenes that one is cut into; more parts share them, for each step of a trace holds the whole membrane
 FARTHEST = 1e4  # scene sizes from the origin: beyond, the round-off of a position spoils the balance of forces
 
 
@@ -81,6 +83,30 @@ class Scene:
         return Membrane(self.mesh.edges, self.rest_length, self.spring_constant, law, self.fixed, self.engine)
 
     @cached_property
+    def parts(self) -> tuple["ScenePart", ...]:
+        """Scenes that share no free vertex and together are this one; none where it does not fall apart."""
+        label = self.membrane.parts
+        if not label.max(initial=0):
+            return ()
+        label = label % MOST_PARTS
+        return tuple(self._part(self.membrane.free[label == which]) for which in range(int(label.max()) + 1))
+
+    def _part(self, free: Ints) -> "ScenePart":
+        """The scene of some free vertices and the fixed ones beside them; `free` (n,) are all those of some parts."""
+        inside = np.zeros(self.mesh.vertices, dtype=bool)
+        inside[free] = True
+        mine = inside[self.mesh.edges].any(axis=1)
+        inside[self.mesh.edges[mine]] = True
+        vertices = np.flatnonzero(inside)
+        index = np.full(self.mesh.vertices + 1, -1)  # the last one for the -1 that pads triangles
+        index[vertices] = np.arange(len(vertices))
+        faces = self.mesh.faces[(inside[self.mesh.faces] | (self.mesh.faces < 0)).all(axis=1)]
+        by_vertex = {name: getattr(self, name)[vertices] for name in BY_VERTEX}
+        by_edge = {name: getattr(self, name)[mine] for name in ("rest_length", "spring_constant")}
+        mesh = Mesh(len(vertices), index[faces], index[self.mesh.edges[mine]])
+        return ScenePart(replace(self, mesh=mesh, **by_vertex, **by_edge), vertices)
+
+    @cached_property
     def warnings(self) -> tuple[str, ...]:
         """Sentences on what will surprise: so far, the share of edges that the wanted shape leaves slack."""
         if self.settings["membrane"]["springs"] == "force-density":
@@ -93,6 +119,14 @@ class Scene:
             f"membrane.rest_scale: {slack:.1%} of the edges are slack in the wanted shape, shorter than their rest length; "
             "a fabric cannot push: lower rest_scale for more prestress",
         )
+
+
+@dataclass(frozen=True)
+class ScenePart:
+    """A scene cut out of another, and the vertices (v,) of that one which are its own, ascending."""
+
+    scene: Scene
+    vertices: Ints
 
 
 def build_scene(settings: Settings, mesh: Mesh, target: Floats, rest: Floats | None) -> Scene:
