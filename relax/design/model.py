@@ -54,7 +54,7 @@ class Model:
 
     def enlarged(self, entering: Ints) -> "Model":
         """The model with more members."""
-        new = self.factor.inverse_columns(self.problem.supports.rows[entering].ravel())
+        new = self.problem.columns(self.factor, entering)
         bent = self.curvature @ new
         across, own = self.columns.T @ bent, new.T @ bent
         quadratic = np.block([[self.quadratic, across], [across.T, 0.5 * (own + own.T)]])
@@ -93,7 +93,7 @@ class Model:
         """The model's dual (m, 3) at the members' forces (k, 3): what a further force at each candidate would gain."""
         moved = self.curvature @ (self.columns @ (s - self.origin[self.members]).ravel())
         turned = self.factor.solve(2 * moved).reshape(-1, 3)
-        dual: Floats = self.dual + self.problem.supports.amplitudes(turned)
+        dual: Floats = self.dual + self.problem.supports.duals(turned)
         return dual
 
     def whole(self, s: Floats) -> Floats:

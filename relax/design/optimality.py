@@ -103,7 +103,7 @@ def _optimality(
     """Stationarity over the groups that stand, and off_support over the others (MATHEMATICS.md, "The judge")."""
     if factor.singular:
         return None, None
-    dual = problem.supports.amplitudes(problem.dual(positions, factor))
+    dual = problem.supports.duals(problem.dual(positions, factor))
     size = sizes(amplitudes)
     stands = size > 0
     weights = problem.strength * problem.supports.weights

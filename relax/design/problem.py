@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.sparse import bsr_array, csc_array
 
-from relax.arrays import Floats, Mask
+from relax.arrays import Floats, Ints, Mask
 from relax.convex.subproblem import Subproblem
 from relax.errors import InputError
 from relax.factor import Factor
@@ -75,6 +75,15 @@ class Problem:
         forces = np.zeros_like(self.scene.target)
         forces[self.membrane.free] = self.supports.forces(amplitudes)
         return forces
+
+    def columns(self, factor: Factor, groups: Ints) -> Floats:
+        """K^-1 B of some groups (3n, 3k): how the membrane moves under a unit of each amplitude."""
+        return factor.inverse_columns(self.supports.rows[groups].ravel())
+
+    def candidates_at(self, positions: Floats, amplitudes: Floats) -> tuple[Ints, Floats, Floats]:
+        """Every vertex where a support may stand: its group (c,), its place (c, 3) and the force there (c, 3)."""
+        place = positions[self.membrane.free][self.supports.vertices]
+        return np.arange(len(place)), place, amplitudes
 
     @cached_property
     def loads(self) -> Floats:

@@ -95,7 +95,7 @@ class _Refit:
         standing = shape.amplitudes[members]
         size = sizes(standing)
         slope = self._strength(members) * problem.penalty.slope(size)
-        gradient = problem.supports.amplitudes(dual)[members] + (slope / size)[:, None] * standing
+        gradient = problem.supports.duals(dual)[members] + (slope / size)[:, None] * standing
         residual = float(sizes(gradient).max(initial=0.0)) / problem.slope_scale(shape.amplitudes)
         value = self._value(shape.positions, shape.amplitudes)
         return _State(shape, factor, members, value, dual, gradient, residual, factor is not nearby)
@@ -116,12 +116,13 @@ class _Refit:
         return replace(moved, kept=kept)
 
     def _bend(self, state: _State) -> _Bend:
-        columns = state.factor.inverse_columns(self.problem.supports.rows[state.members].ravel())
+        columns = self.problem.columns(state.factor, state.members)
         curvature = self.problem.curvature(state.shape.positions, state.dual)
         return _Bend(columns, 2 * (columns.T @ (curvature @ columns)))
 
     def _newton(self, state: _State, bend: _Bend) -> _State:
-        hessian = bend.hessian + self._penalty_hessian(state)
+        amplitudes = state.shape.amplitudes[state.members]
+        hessian = bend.hessian + self.share * penalty_hessian(self.problem, state.members, amplitudes)
         values, vectors = np.linalg.eigh(0.5 * (hessian + hessian.T))
         # R bends downwards along each force and the membrane's own curvature may too: reflect, so that the step descends
         size = np.maximum(np.abs(values), 1e-13 * np.abs(values).max())
@@ -132,20 +133,6 @@ class _Refit:
             steps[0] += np.copysign(np.sqrt(2 * VISIBLE * NOISE * abs(state.value) / size[0]), -slopes[0])
         delta = vectors @ steps
         return self._search(state, delta.reshape(-1, 3), bend)
-
-    def _penalty_hessian(self, state: _State) -> Floats:
-        """R's Hessian on the members: phi'' u u^T + phi'/t (I - u u^T) a group, (3k, 3k)."""
-        s = state.shape.amplitudes[state.members]
-        size = sizes(s)
-        unit = s / size[:, None]
-        strength = self._strength(state.members)
-        across = strength * self.problem.penalty.slope(size) / size
-        along = strength * self.problem.penalty.curvature(size)
-        blocks = across[:, None, None] * np.eye(3) + (along - across)[:, None, None] * unit[:, :, None] * unit[:, None, :]
-        whole = np.zeros((len(s), 3, len(s), 3))
-        index = np.arange(len(s))
-        whole[index, :, index, :] = blocks
-        return whole.reshape(3 * len(s), -1)
 
     def _search(self, state: _State, delta: Floats, bend: _Bend) -> _State:
         """Backtrack at true equilibrium that stands; supports that the step turns round leave where that lowers the value."""
@@ -201,6 +188,20 @@ class _Refit:
             "looked": state.members,
             "kept": state.kept,
         }
+
+
+def penalty_hessian(problem: Problem, members: Ints, amplitudes: Floats) -> Floats:
+    """R's Hessian (3k, 3k) at the members' amplitudes (k, 3): phi'' u u^T + phi'/t (I - u u^T) a group."""
+    size = sizes(amplitudes)
+    unit = amplitudes / size[:, None]
+    strength = problem.strength * problem.supports.weights[members]
+    across = strength * problem.penalty.slope(size) / size
+    along = strength * problem.penalty.curvature(size)
+    blocks = across[:, None, None] * np.eye(3) + (along - across)[:, None, None] * unit[:, :, None] * unit[:, None, :]
+    whole = np.zeros((len(size), 3, len(size), 3))
+    index = np.arange(len(size))
+    whole[index, :, index, :] = blocks
+    return whole.reshape(3 * len(size), -1)
 
 
 def with_dual(problem: Problem, shape: Shape) -> tuple[Shape, Factor, Floats]:

@@ -40,7 +40,7 @@ def round_supports(problem: Problem, shape: Shape, keep: Mask, progress: Progres
             break
         shape = replace(shape, amplitudes=np.where(small[:, None], 0.0, shape.amplitudes))
     shape, field, residual = stationary_dual(problem, shape)
-    dual = problem.supports.amplitudes(field)
+    dual = problem.supports.duals(field)
     stands = problem.standing(shape.amplitudes)
     allowed = problem.group_weights(np.zeros_like(shape.amplitudes))
     # the dual of a shape that Newton left far from stationary says nothing

@@ -14,7 +14,7 @@ from scipy.spatial import KDTree
 from relax.arrays import Floats, Ints
 from relax.design.model import Model, empty_model
 from relax.design.problem import Problem
-from relax.design.refit import Shape, rest, with_dual
+from relax.design.refit import Shape, penalty_hessian, rest, with_dual
 from relax.iterate import Stop
 from relax.sparsity.supports import sizes
 
@@ -31,6 +31,7 @@ PROPOSALS = 2  # the model's best are tried at true equilibrium, no more
 GAIN = 1e-4  # relative fall of the objective below which Newton on the support is the better next step
 SETTLED = 0.01  # relative fall with the same supports after which Newton on them is the better next step
 OPTIMISM = 2.0  # by which a newcomer's dual is raised when one asks whether it could pay: others will make room
+FLAT = 1e-9  # of the largest bend: a smaller one is round-off
 SHARES = np.geomspace(1e-3, 1.0, 16)  # of the force at which a newcomer alone would gain most
 
 
@@ -82,6 +83,26 @@ class Search:
         moved = self._tried(replace(state, shape=shape), model, proposals)
         return moved if moved.stop is None else self._rearranged(moved, model, slides)
 
+    def confirms(self, shape: Shape, one_by_one: Ints) -> bool:
+        """Whether a stationary shape is a minimum on its support, and the model would leave none of its supports out.
+
+        An answer that was found among symmetric ones only can be neither. `one_by_one`: supports whose absence is tried,
+        one of each orbit.
+        """
+        standing = np.flatnonzero(self.problem.standing(shape.amplitudes))
+        if not standing.size:
+            return True
+        _, model, _ = self._supported(shape)
+        here = shape.amplitudes[model.members]
+        hessian = 2 * model.quadratic + penalty_hessian(self.problem, model.members, here)
+        bends = np.linalg.eigvalsh(hessian)
+        if bends[0] < -FLAT * bends[-1]:
+            return False
+        fewer = [model.small.pruned(here)]
+        for group in one_by_one:
+            fewer.append(model.small.settled(np.where((model.members == group)[:, None], 0.0, here)))
+        return min(map(model.value, fewer)) > (1 - GAIN) * model.value(here)
+
     def _rearranged(self, state: State, model: Model, slides: Ints) -> State:
         """Before the search ends: one support at a time moves a step uphill, or two that stand close together become one."""
         here = state.shape.amplitudes
@@ -129,16 +150,21 @@ class Search:
         same = np.array_equal(self.problem.standing(shape.amplitudes), self.problem.standing(before.shape.amplitudes))
         return Stop.CONVERGED if same and objective > (1 - SETTLED) * before.objective else None
 
-    def _model(self, shape: Shape) -> tuple[Shape, Model, Ints]:
-        """The model at a shape under few forces: with those, the peaks that could pay, and a neighbour uphill of each."""
+    def _supported(self, shape: Shape) -> tuple[Shape, Model, Floats]:
+        """The model at a shape on the supports that stand, and the dual (m, 3)."""
         problem = self.problem
         shape, factor, field = with_dual(problem, shape)
-        dual = problem.supports.amplitudes(field)
+        dual = problem.supports.duals(field)
         distance = problem.distance(shape.positions)
         model = empty_model(problem, factor, problem.curvature(shape.positions, field), shape.amplitudes, distance, dual)
         standing = np.flatnonzero(problem.standing(shape.amplitudes))
-        if standing.size:
-            model = model.enlarged(standing)
+        return shape, model.enlarged(standing) if standing.size else model, dual
+
+    def _model(self, shape: Shape) -> tuple[Shape, Model, Ints]:
+        """The model at a shape under few forces: with those, the peaks that could pay, and a neighbour uphill of each."""
+        problem = self.problem
+        shape, model, dual = self._supported(shape)
+        standing = model.members
         steep = sizes(dual) / problem.supports.weights
         uphill = self._uphill(steep, standing)
         entering = np.union1d(self._newcomers(model, dual), np.setdiff1d(uphill, standing))
@@ -154,7 +180,7 @@ class Search:
         unbalanced = (problem.membrane.forces(shape.positions) + problem.loads).ravel()
         offset = problem.offset(shape.positions).ravel() + factor.solve(unbalanced)
         pulled = problem.metric @ offset
-        dual = problem.supports.amplitudes(factor.solve(2 * pulled).reshape(-1, 3))
+        dual = problem.supports.duals(factor.solve(2 * pulled).reshape(-1, 3))
         model = empty_model(problem, factor, problem.metric, np.zeros_like(dual), float(offset @ pulled), dual)
         force = sizes(shape.amplitudes)
         peaks = self._peaks(force)[:PEAKS]
@@ -210,17 +236,19 @@ class Search:
     def _close_pairs(self, shape: Shape) -> tuple[Ints, Ints]:
         """Supports that stand close together and pull the same way (P, 2), and the candidate halfway, by their forces (P,)."""
         problem = self.problem
-        standing = np.flatnonzero(problem.standing(shape.amplitudes))
-        place = shape.positions[problem.membrane.free][problem.supports.vertices]
+        group, place, force = problem.candidates_at(shape.positions, shape.amplitudes)
+        standing = np.flatnonzero(force.any(axis=1))
         edge = np.linalg.norm(problem.membrane.edge_vectors(shape.positions), axis=1).mean()
         close = KDTree(place[standing].reshape(-1, 3)).query_pairs(CLOSE * edge, output_type="ndarray")
         one, other = standing[close.reshape(-1, 2)].T
-        force = shape.amplitudes
         alike = np.einsum("ij,ij->i", force[one], force[other]) > 0
         one, other = one[alike], other[alike]
         share = sizes(force[one]) / (sizes(force[one]) + sizes(force[other]))
         middle = share[:, None] * place[one] + (1 - share[:, None]) * place[other]
-        return np.column_stack([one, other]), np.asarray(KDTree(place).query(middle)[1], dtype=np.int64)
+        halfway = KDTree(place).query(middle)[1]
+        # images of one pair are one move
+        moves = np.unique(np.column_stack([np.sort(group[np.column_stack([one, other])]), group[halfway]]), axis=0)
+        return moves[:, :2], moves[:, 2]
 
     def _peaks(self, field: Floats) -> Ints:
         """Candidates where `field` (m,) has a local maximum on the mesh, the highest first."""

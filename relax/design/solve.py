@@ -21,7 +21,8 @@ from relax.design.refit import Shape, refit
 from relax.design.rounding import round_supports, seated
 from relax.design.search import Search
 from relax.design.sequential import SequentialConvex
-from relax.design.starts import Start, at_target, choose_starts, heavy_starts, resolve_weight, tells_sizes
+from relax.design.starts import Start, at_target, choose_starts, heavy_starts, is_planted, resolve_weight, tells_sizes
+from relax.design.symmetric import symmetric_problem
 from relax.design.trace import Callback, Journal, Trace
 from relax.errors import EquilibriumError, InputError
 from relax.iterate import Algorithm, Stop, iterate
@@ -141,19 +142,23 @@ def _solve(problem: Problem, start: tuple[Floats, Floats] | None, tools: _Tools)
     if parts:
         found = _solve_apart(problem, parts, start, tools)
     else:
-        found = _best_of(problem, choose_starts(problem, start, journal.skipped), tools)
+        found = _best_of(problem, None if start is None else choose_starts(problem, start, journal.skipped), tools)
     stop = Stop.INTERRUPTED.value if found.interrupted else _why(found.best)
     design = _design(problem, found.best, journal, stop)
     said = sentences(problem, journal, found.factorizations)
     return replace(design, factorizations=found.factorizations, skipped=said)
 
 
-def _best_of(problem: Problem, starts: list[Start], tools: _Tools) -> _Found:
-    """The best that the starts lead to, or of what was seen before an interrupt."""
+def _best_of(problem: Problem, starts: list[Start] | None, tools: _Tools) -> _Found:
+    """The best that the starts lead to (None: symmetry, or those that the scene asks for), or of what an interrupt left."""
     journal = tools.journal
     outcomes: list[_Outcome] = []
     spent, interrupted = 0, False
     try:
+        if starts is None:
+            outcomes += _by_symmetry(problem, tools)
+            settled = bool(outcomes) and outcomes[-1].certificate.converged
+            starts = [] if settled else choose_starts(problem, None, journal.skipped)
         for begin in starts:
             if _agree(outcomes):
                 journal.skipped.append(f"start {begin.name}: two starts ended at the same supports")
@@ -174,6 +179,43 @@ def _best_of(problem: Problem, starts: list[Start], tools: _Tools) -> _Found:
         journal.skipped.append("a trial of the stiffness: every pivot is proven positive")
     spent += sum(each.shape.factorizations for each in outcomes) or best.shape.factorizations
     return _Found(best, spent, interrupted)
+
+
+def _by_symmetry(problem: Problem, tools: _Tools) -> list[_Outcome]:
+    """What the symmetry of a problem leads to, judged as any other outcome; nothing where there is none.
+
+    The search sees one vertex of each orbit first. Then the whole problem is searched from where that ended, since an answer that
+    is not symmetric can be better; where few supports hold the target as it is, a look at those supports is enough.
+    """
+    if not isinstance(_method(problem, tools), Search) or problem.scene.settings["solver"]["start"] == "heavy":
+        return []
+    reduced = symmetric_problem(problem)
+    if reduced is None:
+        return []
+    journal, said = tools.journal, list[str]()
+    try:
+        start = choose_starts(reduced, None, said)[0]
+        if start.weight is not None:
+            return []
+        journal.lift = reduced.whole
+        found, rough = (reduced.whole(shape) for shape in _steps_and_rounding(reduced, start, tools))
+    except EquilibriumError:
+        return []
+    finally:
+        journal.lift = None
+    parts = f"{reduced.symmetry.order - 1} of {reduced.symmetry.order} parts of the membrane: it has {reduced.symmetry}"
+    if is_planted(reduced, start.shape):
+        outcome = _Outcome(problem, found, rough)
+        standing = reduced.one_of_each(np.flatnonzero(problem.standing(found.amplitudes)))
+        if outcome.certificate.converged and Search(problem).confirms(found, standing):
+            journal.skipped += [*said, parts]
+            return [outcome]
+    outcome = _run(problem, Start("symmetric", found), tools)
+    same = np.array_equal(problem.standing(outcome.shape.amplitudes), problem.standing(found.amplitudes))
+    if outcome.certificate.converged:
+        what = "found nothing better" if same else "went on from there"
+        journal.skipped.append(f"{parts}, and the search of the whole {what}")
+    return [outcome]
 
 
 def _solve_apart(problem: Problem, parts: Sequence[Part], start: tuple[Floats, Floats] | None, tools: _Tools) -> _Found:

@@ -59,7 +59,7 @@ def unsupported(problem: Problem) -> Shape:
 def largest_weight(problem: Problem, shape: Shape) -> float:
     """The smallest weight at which no support passes the dual test: max |lam_g| / c_g at the unsupported `shape`."""
     factor = shape.factor or problem.factor_at(shape.positions)
-    dual = problem.supports.amplitudes(problem.dual(shape.positions, factor))
+    dual = problem.supports.duals(problem.dual(shape.positions, factor))
     return float((sizes(dual) / problem.supports.weights).max())
 
 

@@ -84,21 +84,37 @@ class Journal:
         self.skipped: list[str] = []
         self.tally = Tally(np.zeros(len(problem.supports.vertices), dtype=bool))
         self.first = 0  # the step at which the present start began
+        self.lift: Callable[[Shape], Shape] | None = None  # the whole membrane of a run's shapes, while it sees less
+        self._last: Shape | None = None
 
     def elapsed(self) -> float:
         """Seconds of the run so far."""
         return time.perf_counter() - self.begin - self.paused
 
+    def _count(self, record: Record) -> None:
+        """Into the tally; what a lifted run looks at is all of each orbit."""
+        shape: Shape = record["shape"]
+        looked = np.zeros_like(shape.amplitudes)
+        looked[list(record.get("looked", ()))] = 1.0
+        if self.lift is not None:
+            looked = self.lift(replace(shape, amplitudes=looked)).amplitudes
+        self.tally.looked |= looked.any(axis=1)
+        self.tally.kept += record.get("kept", False)
+
     def __call__(self, record: Record) -> None:
         """Keep a record; one that shows the same shape as the last is not a step."""
         shape: Shape = record["shape"]
-        self.tally.looked[list(record.get("looked", ()))] = True
-        if self.shapes and shape.positions is self.shapes[-1].positions and shape.amplitudes is self.shapes[-1].amplitudes:
+        last, self._last = self._last, replace(shape, factor=None)
+        self._count(record)
+        if last is not None and shape.positions is last.positions and shape.amplitudes is last.amplitudes:
             return
         if len(self.shapes) > self.first:
             self.tally.compared += 1
             self.tally.reused += shape.factorizations == self.shapes[-1].factorizations
-        self.tally.kept += record.get("kept", False)
+        if self.lift is not None:
+            shape = self.lift(shape)
+            objective = self.problem.objective(shape.positions, shape.amplitudes)
+            record = {**record, "objective": objective, "supports": int(shape.amplitudes.any(axis=1).sum())}
         self.shapes.append(replace(shape, factor=None))
         self.objective.append(record["objective"])
         self.seconds.append(self.elapsed())

@@ -41,8 +41,45 @@ class Supports:
         return forces
 
     def amplitudes(self, forces: Floats) -> Floats:
-        """The part of nodal forces (n, 3) that the candidates can carry (m, 3): B^T p."""
+        """The amplitudes (m, 3) of nodal forces (n, 3), as far as the candidates can carry them: B s = p there."""
         return forces[self.vertices]
+
+    def duals(self, field: Floats) -> Floats:
+        """What each group feels of a dual field (n, 3): B^T lam (m, 3)."""
+        return field[self.vertices]
+
+
+@dataclass(frozen=True)
+class OrbitSupports(Supports):
+    """Candidates of a symmetric membrane by one vertex of each orbit: B projects on what a support can do there, times its share.
+
+    Parameters
+    ----------
+    vertices, weights, free
+        As in Supports.
+    share : (m,)
+        What the membrane counts of each vertex: less than 1 on a mirror and on the axis.
+    invariant : (m, 3, 3)
+        Projection on the forces that the symmetry allows there.
+    """
+
+    share: Floats
+    invariant: Floats
+
+    def _allowed(self, vectors: Floats) -> Floats:
+        return np.einsum("gij,gj->gi", self.invariant, vectors)
+
+    def forces(self, amplitudes: Floats) -> Floats:
+        """B s as nodal forces (n, 3) newtons."""
+        return super().forces(self.share[:, None] * self._allowed(amplitudes))
+
+    def amplitudes(self, forces: Floats) -> Floats:
+        """The amplitudes (m, 3) of symmetric nodal forces (n, 3)."""
+        return self._allowed(super().amplitudes(forces)) / self.share[:, None]
+
+    def duals(self, field: Floats) -> Floats:
+        """What each group feels of a dual field (n, 3): B^T lam (m, 3)."""
+        return self.share[:, None] * self._allowed(super().duals(field))
 
 
 def sizes(amplitudes: Floats) -> Floats:
