@@ -65,7 +65,6 @@ class Kind:
     springs: str = "hookean"
     start: str = "auto"
     ring: bool = False  # masts and tie-downs that mirrors and turns of the square leave as they are, on an odd number of vertices
-    data: str = ""  # a scene of data/ instead
     lasso: float = 0.0  # weight of a group lasso over that of the power penalty; 0: that one
 
 
@@ -78,15 +77,12 @@ SCENES = {
     "four": Kind(squares=4),
     "four, noisy": Kind(squares=4, sigma=NOISE),
     "ring": Kind(ring=True),
-    "pavilion": Kind(data="pavilion"),
     "four nets": Kind(squares=4, sigma=NOISE, springs="force-density"),
 }
 
 
 def planted(kind: Kind, side: int) -> relax.Problem:
     """Square membranes of `side` x `side` vertices in a row, brought to rest under price.py's forces, as the target."""
-    if kind.data:
-        return relax.Problem(relax.load_scene(DATA / f"{kind.data}.toml"))
     side = side | 1 if kind.ring else side
     mesh, flat = square(side)
     count = mesh.vertices
@@ -280,7 +276,6 @@ SKIPS = (
     Skip("parts apart", "four nets", in_one_piece, "4 parts solved apart"),
     Skip("parts apart", "planted", in_one_piece, ""),
     Skip("one of each orbit", "ring", no_symmetry, "parts of the membrane: it has"),
-    Skip("one of each orbit", "pavilion", no_symmetry, "parts of the membrane: it has"),
     Skip("one of each orbit", "noisy", no_symmetry, ""),
     Skip("no second round", "noisy", second_round, "a second round of steps"),
     Skip("no search for other starts", "planted", other_starts, "a search for other starts"),

@@ -7,7 +7,8 @@ Question: how long do Clarabel, cvxpy and IPOPT take for what `relax.solve` find
 
 Noisy planted masts (price.py), then the scenes of data/ (without cvxpy). Every answer is judged by relax's judge.
 
-SCP, Clarabel and SCP, cvxpy: `relax.solve` from the same starts, every convex step a full cone program by that back-end.
+SCP, Clarabel and SCP, cvxpy: `relax.solve` with every convex step a full cone program by that back-end, from the same start,
+and without it, from the heavy starts.
 
 IPOPT (`pip install -e '.[peers]'`): p = -f(x) - g eliminated, x free, eps continued down to the penalty's own from 10,000 times
 that, each solve warm at the last one's answer, from the target or from flat. As fast as we could make it: the exact sparse
@@ -32,7 +33,7 @@ import statistics
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -227,7 +228,11 @@ def compared(case: str, problem: relax.Problem, rounds: int, peers: list[str]) -
     by_relax(problem)  # once before the clock: imports, and what is computed once a mesh
     turns = [{name: run() for name, run in runs.items()} for _ in range(rounds)]
     answers = {name: [turn[name] for turn in turns] for name in runs}
-    answers |= {f"SCP, {name}": [by_relax(problem, name.lower())] for name in peers if name != "IPOPT"}
+    heavy = _heavy(problem)
+    for name in peers:
+        if name != "IPOPT":
+            answers[f"SCP, {name}"] = [by_relax(problem, name.lower())]
+            answers[f"SCP, {name}, heavy starts"] = [by_relax(heavy, name.lower())]
     own = answers["relax"]
     return [
         {
@@ -241,6 +246,13 @@ def compared(case: str, problem: relax.Problem, rounds: int, peers: list[str]) -
         }
         for name, found in answers.items()
     ]
+
+
+def _heavy(problem: relax.Problem) -> relax.Problem:
+    """The same problem, started without the denoised target."""
+    settings = dict(problem.scene.settings)
+    settings["solver"] = {**settings["solver"], "start": "heavy"}
+    return problem.replace(scene=replace(problem.scene, settings=settings))
 
 
 def _figures(problem: relax.Problem, answer: Answer, own: Answer) -> dict[str, Any]:

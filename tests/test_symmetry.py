@@ -326,10 +326,12 @@ def test_planted_tents_have_the_same_answer(masts, sigma, monkeypatch):
     assert design.trace.objective[-1] == pytest.approx(design.certificate.objective, rel=1e-6)
 
 
-def test_pavilion_has_the_same_answer(monkeypatch):
+def test_pavilion_ends_no_higher_than_without(monkeypatch):
+    """Nothing few holds its target as it is: another way down may end elsewhere."""
     problem = Problem(load_scene(DATA / "pavilion.toml"))
     design = solve(problem)
-    assert_same(design, without(problem, monkeypatch))
+    assert design.certificate.converged
+    assert design.certificate.objective <= (1 + 1e-8) * without(problem, monkeypatch).certificate.objective
     parts = "11 of 12 parts of the membrane: it has 6 rotations and 6 mirrors"
     assert f"{parts}, and the search of the whole found nothing better" in design.skipped
 

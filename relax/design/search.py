@@ -21,12 +21,13 @@ from relax.sparsity.supports import sizes
 DENSE = 0.5  # share of the candidates: more forces than this are no support yet
 PEAKS = 24  # of dense forces: candidates of a first model at most
 STRONG = 0.2  # share of the largest peak that a peak of the forces must reach to be looked at
-NEWCOMERS = 8  # peaks of the dual that enter a model at once, or as many as stand where more stand
+NEWCOMERS = 8  # peaks of the dual that enter a model at once
+ENTER = 1 / 3  # of the supports that stand: where many do, as many peaks of the dual enter
 ROUNDS = 4  # of newcomers to a first model
 ROUND_PAYS = 0.01  # relative fall of the model's value for which another round is worth its columns
 CLOSE = 6  # mean edge lengths within which two supports may be one
 REARRANGED = 8  # pairs of neighbours that are looked at closer; where more stand close together the weight fits noise
-REARRANGED_PAYS = 1e-3  # relative fall that the model must promise for a support moved by itself
+REARRANGED_PAYS = 5e-3  # relative fall that the model must promise for a support moved by itself
 PROPOSALS = 2  # the model's best are tried at true equilibrium, no more
 GAIN = 1e-4  # relative fall of the objective below which Newton on the support is the better next step
 SETTLED = 0.01  # relative fall with the same supports after which Newton on them is the better next step
@@ -204,7 +205,7 @@ class Search:
         steep = sizes(dual) / problem.supports.weights
         steep[model.members] = 0.0
         peaks = self._peaks(steep)
-        peaks = peaks[steep[peaks] > 0][: max(NEWCOMERS, count)]
+        peaks = peaks[steep[peaks] > 0][: max(NEWCOMERS, round(ENTER * count))]
         if not model.members.size:
             return peaks
         # how far a unit force moves the membrane is not known without its column: the members' mean tells the order of it
