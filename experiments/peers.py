@@ -18,13 +18,15 @@ resolution are then dropped and Newton refits on the rest, as after the convex s
 tried. Its seconds are its solves alone: `building, s` (model and solvers) and that refit are extra.
 
 `times relax` is over the median of relax in the same process; `relax above` is relax's objective over this one's, less one;
-`before rounding` is the objective of what is rounded; `says` is the method's own word. Exit status 1 if a judged answer is lower than relax's by more than 1e-7.
+`before rounding` is the objective of what is rounded; `says` is the method's own word. Exit status 1 if a judged answer is
+lower than relax's by more than 1e-7.
 
-Finding: no peer ends lower on any of these scenes. On the planted ones all that finish end at the same supports and objective, to
-1e-13; on `bumps`, `pavilion` and `terrain` relax ends 2 to 13 % below IPOPT and 2 to 5 % below the full cone programs. At 2,304 vertices with
-noise IPOPT from flat takes 7 and 12 times as long as relax with one and five masts; from the target 30 times with five, and with
-one it fails. Full cone programs take 8 times as long in Clarabel and 12 to 22 times through cvxpy from the same denoised start, where
-two or three of them are enough; without that start, from the heavy ones, 42 to 81 and 52 to 102 times.
+Finding: no peer ends lower on any of these scenes. On the planted ones all that finish end at the same supports and objective,
+to 1e-13; on `bumps`, `pavilion` and `terrain` relax ends 2 to 13 % below IPOPT and 2 to 5 % below the full cone programs. At
+2,304 vertices with noise IPOPT from flat takes 7 and 12 times as long as relax with one and five masts; from the target 30
+times with five, and with one it fails. Full cone programs take 8 times as long in Clarabel and 12 to 22 times through cvxpy
+from the same denoised start, where two or three of them are enough; without that start, from the heavy ones, 42 to 81 and 52
+to 102 times.
 """
 
 import math
