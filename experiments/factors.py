@@ -50,15 +50,12 @@ import statistics
 import sys
 import time
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
-from resource import RUSAGE_SELF, getrusage
 
 import numpy as np
-from rows import measured
+from rows import in_own_processes, measured, peak_gigabytes
 from scipy.sparse import coo_array, csc_array, tril
 from threadpoolctl import threadpool_limits
 
@@ -154,21 +151,16 @@ def median_seconds(work: Callable[[], object], rounds: int) -> float:
     return statistics.median(seconds)
 
 
-def peak() -> float:
-    """Largest memory of this process so far, megabytes."""
-    return getrusage(RUSAGE_SELF).ru_maxrss / 1024
-
-
 def measure(side: int, name: str) -> dict[str, object]:
     """One row: an engine on a mesh."""
     membrane, shape = raised_square(side)
     membrane = replace(membrane, engine=CANDIDATES[name][0])
     first = membrane.factor_at(shape)
-    before = peak()
+    before = peak_gigabytes()
     row: dict[str, object] = {"vertices": side**2, "engine": name}
     with threadpool_limits(1, "blas"):
         row["first, s"] = median_seconds(lambda: first.positive_definite, 1)
-        row["memory, MB"] = round(peak() - before)
+        row["memory, MB"] = round(1024 * (peak_gigabytes() - before))
         # the first one stays alive; one more is not counted, for which an engine may make a second analysis
         again = [membrane.factor_at(shape) for _ in range(ROUNDS + 1)]
         _ = again.pop().positive_definite
@@ -187,8 +179,7 @@ def table(size: str) -> list[dict[str, object]]:
     missing = [name for name, (_, package) in CANDIDATES.items() if not importlib.util.find_spec(package)]
     print(f"auto is {available_engines()[0]}; not installed and left out: {', '.join(missing) or 'none'}", file=sys.stderr)
     work = [(side, name) for side in SIDES[size] for name in CANDIDATES if name not in missing]
-    with ProcessPoolExecutor(1, get_context("spawn"), max_tasks_per_child=1) as processes:
-        return list(processes.map(measure, *zip(*work, strict=True)))
+    return list(in_own_processes(measure, work))
 
 
 def main() -> int:

@@ -27,6 +27,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from make_data import BUMPS
 from rows import in_own_processes, measured, peak_gigabytes
 
 import relax
@@ -43,7 +44,6 @@ MASTS = {
         (0.80, 0.75, (0.03, 0.0, -0.25)),
     ],
 }
-BUMPS = ((0.28, 0.30, 0.24, 0.16), (0.72, 0.38, 0.22, 0.20), (0.44, 0.74, 0.22, 0.18))  # x, y, radius, height: data/README.md
 NOISE = 0.005  # metres: about 2 % of the height of a mast
 SIDES = {"small": (21,), "full": (50, 100, 200, 300)}
 BUMPS_SIDES = {"small": (21,), "full": (50, 100)}

@@ -53,7 +53,9 @@ class Model:
     quadratic: Floats
 
     def enlarged(self, entering: Ints) -> "Model":
-        """The model with more members."""
+        """The model with more members, itself where none enter."""
+        if not entering.size:
+            return self
         new = self.problem.columns(self.factor, entering)
         bent = self.curvature @ new
         across, own = self.columns.T @ bent, new.T @ bent

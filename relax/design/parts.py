@@ -11,7 +11,7 @@ import numpy as np
 
 from relax.arrays import Floats, Ints
 from relax.design.problem import Problem
-from relax.design.refit import Shape
+from relax.design.refit import Shape, figures
 from relax.design.trace import Journal, Tally
 from relax.iterate import Record
 
@@ -91,11 +91,9 @@ class PartJournal(Journal):
         if len(self.shapes) == known:
             return
         self.others[self.index] = self.shapes[-1]
-        problem = self.whole.problem
-        shape = assembled(problem, self.parts, self.others)
+        shape = assembled(self.whole.problem, self.parts, self.others)
         self.whole.stage = f"part {self.index + 1} of {len(self.parts)}, {self.stage}"
-        objective, supports = problem.objective(shape.positions, shape.amplitudes), int(problem.standing(shape.amplitudes).sum())
-        self.whole({"shape": shape, "objective": objective, "supports": supports, "note": record["note"]})
+        self.whole(figures(self.whole.problem, shape, record["note"], ()))
 
     def remark(self, words: str) -> None:
         """Add words to the last note, here and in the whole."""

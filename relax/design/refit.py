@@ -4,7 +4,7 @@ Where K is invertible, positions are a function of the support forces through eq
 3 k numbers are unknown (MATHEMATICS.md, "Reduced form").
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -147,7 +147,9 @@ class _Refit:
                 trial = s + length * delta
                 if leave:
                     trial[turned] = 0.0
-                moved = self.moved(shape, members, trial, bend.columns)
+                amplitudes = shape.amplitudes.copy()
+                amplitudes[members] = trial
+                moved = displaced(self.problem, shape, bend.columns @ (trial - s).ravel(), amplitudes)
                 if moved is None:
                     continue
                 value = self._value(moved.positions, moved.amplitudes)
@@ -164,30 +166,14 @@ class _Refit:
             length *= 0.5
         return replace(state, stuck=True)
 
-    def moved(self, shape: Shape, members: Ints, trial: Floats, columns: Floats) -> Shape | None:
-        """The shape at rest under `trial` amplitudes of the members, started where K predicts it; None if it finds no rest."""
-        problem = self.problem
-        amplitudes = shape.amplitudes.copy()
-        amplitudes[members] = trial
-        guess = shape.positions.copy()
-        guess[problem.membrane.free] += (columns @ (trial - shape.amplitudes[members]).ravel()).reshape(-1, 3)
-        return rest(problem, replace(shape, positions=guess, amplitudes=amplitudes))
-
     def done(self, state: _State) -> Stop | None:
         if not state.members.size or state.residual <= AIM:
             return Stop.CONVERGED
         return Stop.STALLED if state.stuck or state.idle >= PATIENCE else None
 
     def record(self, state: _State) -> dict[str, object]:
-        return {
-            "objective": self.problem.objective(state.shape.positions, state.shape.amplitudes),
-            "residual": state.residual,
-            "supports": len(state.members),
-            "note": "Newton on the support",
-            "shape": state.shape,
-            "looked": state.members,
-            "kept": state.kept,
-        }
+        note = "Newton on the support"
+        return {**figures(self.problem, state.shape, note, state.members), "residual": state.residual, "kept": state.kept}
 
 
 def penalty_hessian(problem: Problem, members: Ints, amplitudes: Floats) -> Floats:
@@ -226,6 +212,24 @@ def rest(problem: Problem, guess: Shape) -> Shape | None:
     if not found.found:
         return None
     return Shape(found.positions, guess.amplitudes, found.factor or guess.factor, guess.factorizations + found.factorizations)
+
+
+def displaced(problem: Problem, shape: Shape, displacement: Floats, amplitudes: Floats) -> Shape | None:
+    """The shape at rest under other amplitudes (m, 3), started a displacement (3n,) from here; None if it finds none."""
+    guess = shape.positions.copy()
+    guess[problem.membrane.free] += displacement.reshape(-1, 3)
+    return rest(problem, replace(shape, positions=guess, amplitudes=amplitudes))
+
+
+def figures(problem: Problem, shape: Shape, note: str, looked: Iterable[int]) -> dict[str, object]:
+    """What the trace keeps of a shape; `looked`: candidates whose columns of K^-1 were made."""
+    return {
+        "objective": problem.objective(shape.positions, shape.amplitudes),
+        "supports": int(problem.standing(shape.amplitudes).sum()),
+        "note": note,
+        "shape": shape,
+        "looked": looked,
+    }
 
 
 def stationary_dual(problem: Problem, shape: Shape) -> tuple[Shape, Floats, float]:

@@ -1,7 +1,7 @@
 """The search for few supports: at each shape a small model of the whole problem, searched at little cost, then tried in truth.
 
 On a working set, the supports that stand and the peaks of the dual field, the problem is small and dense (model.py), and looking
-for few forces there costs nothing beside a factorisation: reweighting from several smoothings, supports left out that do not
+for few forces there costs nothing beside a factorisation: reweighting while the smoothing shrinks, supports left out that do not
 earn their cost. What the model finds best is brought to rest and counts only if the objective falls there.
 """
 
@@ -14,7 +14,7 @@ from scipy.spatial import KDTree
 from relax.arrays import Floats, Ints
 from relax.design.model import Model, empty_model
 from relax.design.problem import Problem
-from relax.design.refit import Shape, penalty_hessian, rest, with_dual
+from relax.design.refit import Shape, displaced, figures, penalty_hessian, with_dual
 from relax.iterate import Stop
 from relax.sparsity.supports import sizes
 
@@ -26,7 +26,9 @@ ENTER = 1 / 3  # of the supports that stand: where many do, as many peaks of the
 ROUNDS = 4  # of newcomers to a first model
 ROUND_PAYS = 0.01  # relative fall of the model's value for which another round is worth its columns
 CLOSE = 6  # mean edge lengths within which two supports may be one
-REARRANGED = 8  # pairs of neighbours that are looked at closer; where more stand close together the weight fits noise
+REARRANGED = (
+    8  # moves of single supports and close pairs that are looked at closer; where more stand close together the weight fits noise
+)
 REARRANGED_PAYS = 5e-3  # relative fall that the model must promise for a support moved by itself
 PROPOSALS = 2  # the model's best are tried at true equilibrium, no more
 GAIN = 1e-4  # relative fall of the objective below which Newton on the support is the better next step
@@ -55,7 +57,7 @@ class Search:
     Parameters
     ----------
     problem : Problem
-        Its penalty tells small forces from large ones (else every smoothing leads the same way).
+        Its penalty tells small forces from large ones (else there is nothing to reweight).
     """
 
     problem: Problem
@@ -109,8 +111,7 @@ class Search:
         here = state.shape.amplitudes
         pairs, halfway = self._close_pairs(state.shape)
         entering = np.setdiff1d(halfway, model.members)
-        if entering.size:
-            model = model.enlarged(entering)
+        model = model.enlarged(entering)
         moves = [slides[i : i + 1] for i in range(len(slides))]
         moves += [np.column_stack([pair, [vertex, vertex]]) for pair, vertex in zip(pairs, halfway, strict=True)]
         starts = [self._shifted(here, move)[model.members] for move in moves]
@@ -159,7 +160,7 @@ class Search:
         distance = problem.distance(shape.positions)
         model = empty_model(problem, factor, problem.curvature(shape.positions, field), shape.amplitudes, distance, dual)
         standing = np.flatnonzero(problem.standing(shape.amplitudes))
-        return shape, model.enlarged(standing) if standing.size else model, dual
+        return shape, model.enlarged(standing), dual
 
     def _model(self, shape: Shape) -> tuple[Shape, Model, Ints]:
         """The model at a shape under few forces: with those, the peaks that could pay, and a neighbour uphill of each."""
@@ -170,14 +171,13 @@ class Search:
         uphill = self._uphill(steep, standing)
         entering = np.union1d(self._newcomers(model, dual), np.setdiff1d(uphill, standing))
         slides = np.column_stack([standing, uphill])[uphill != standing]
-        return shape, model.enlarged(entering) if entering.size else model, slides
+        return shape, model.enlarged(entering), slides
 
     def _first_model(self, shape: Shape) -> tuple[Shape, Model]:
         """The model at a shape under forces almost everywhere: expanded at no forces, with the peaks of forces and dual."""
         problem = self.problem
         factor = shape.factor or problem.factor_at(shape.positions)
-        if shape.factor is None:  # else the very shape: that nothing came of it is told by that
-            shape = shape.with_factor(factor)
+        shape = shape.with_factor(factor)
         unbalanced = (problem.membrane.forces(shape.positions) + problem.loads).ravel()
         offset = problem.offset(shape.positions).ravel() + factor.solve(unbalanced)
         pulled = problem.metric @ offset
@@ -259,12 +259,9 @@ class Search:
 
     def _moved(self, shape: Shape, model: Model, proposal: Floats) -> Shape | None:
         """The shape at rest under the proposed forces, started where K predicts it; None if it finds no rest."""
-        problem = self.problem
         amplitudes = model.whole(proposal)
-        shift = model.factor.solve(problem.supports.forces(amplitudes - shape.amplitudes))
-        guess = shape.positions.copy()
-        guess[problem.membrane.free] += shift
-        return rest(problem, Shape(guess, amplitudes, model.factor, shape.factorizations))
+        shift = model.factor.solve(self.problem.supports.forces(amplitudes - shape.amplitudes))
+        return displaced(self.problem, replace(shape, factor=model.factor), shift, amplitudes)
 
     def done(self, state: State) -> Stop | None:
         """Whether the model had nothing better, or nothing that held in truth."""
@@ -272,11 +269,4 @@ class Search:
 
     def record(self, state: State) -> dict[str, object]:
         """Figures of the state for the trace."""
-        shape = state.shape
-        return {
-            "objective": self.problem.objective(shape.positions, shape.amplitudes),
-            "supports": int(shape.amplitudes.any(axis=1).sum()),
-            "note": state.note,
-            "shape": shape,
-            "looked": state.looked,
-        }
+        return figures(self.problem, state.shape, state.note, state.looked)

@@ -13,7 +13,7 @@ from relax.arrays import Floats
 from relax.convex.backends import Backend
 from relax.convex.subproblem import Subproblem
 from relax.design.problem import Problem
-from relax.design.refit import Shape, rest
+from relax.design.refit import Shape, displaced, figures
 from relax.errors import BackendError
 from relax.iterate import Stop
 from relax.sparsity.supports import sizes
@@ -77,7 +77,7 @@ class SequentialConvex:
             promised = before - self._model(subproblem, solution.displacement, solution.amplitudes)
             if promised <= ENOUGH * before:
                 return replace(state, shape=shape, exhausted=True, note=f"{solution.ran}, nothing more to gain")
-            moved = self._moved(shape, solution.displacement, solution.amplitudes)
+            moved = displaced(problem, shape, solution.displacement, solution.amplitudes)
             if moved is None:
                 continue
             shape = replace(shape, factorizations=moved.factorizations)
@@ -100,25 +100,13 @@ class SequentialConvex:
         moved = subproblem.offset + displacement
         return float(moved @ (subproblem.metric @ moved)) + float(subproblem.weights @ sizes(amplitudes))
 
-    def _moved(self, shape: Shape, displacement: Floats, amplitudes: Floats) -> Shape | None:
-        guess = shape.positions.copy()
-        guess[self.problem.membrane.free] += displacement.reshape(-1, 3)
-        return rest(self.problem, replace(shape, positions=guess, amplitudes=amplitudes))
-
     def done(self, state: State) -> Stop | None:
         """Settled, or out of steps that pay."""
         return Stop.CONVERGED if state.settled or state.exhausted else None
 
     def record(self, state: State) -> dict[str, object]:
         """Figures of the state for the trace."""
-        shape = state.shape
-        return {
-            "objective": self.problem.objective(shape.positions, shape.amplitudes),
-            "supports": int(shape.amplitudes.any(axis=1).sum()),
-            "note": state.note,
-            "shape": shape,
-            "looked": state.looked,
-        }
+        return figures(self.problem, state.shape, state.note, state.looked)
 
 
 def _dampings(first: float) -> list[float]:

@@ -15,11 +15,8 @@ PLANTED = 0.1  # share of the candidates: where fewer carry a force at the targe
 ROUND_OFF = 1e-9  # of the largest force: what a planted target, stored with fewer digits perhaps, carries everywhere else
 NOTHING = 1e-12  # of the largest tension: a force that is the round-off of balance
 REACHED = 1e-16  # of the scene's size squared: a rested shape this near is the target
-PULLS = (
-    0.125,
-    0.016,
-    0.002,
-)  # of the mean stiffness: the springs that draw the membrane to a target, the next where it would not stand
+# of the mean stiffness: the springs that draw the membrane to a target, the next where it would not stand
+PULLS = (0.125, 0.016, 0.002)
 HEAVY = (0.5, 0.005, 0.1)  # first weights, as shares of the largest useful one; none wins on every scene
 
 
@@ -48,12 +45,8 @@ def unsupported(problem: Problem) -> Shape:
         raise EquilibriumError(
             "the membrane without supports does not stand by itself (no prestress, or a slack part): lower membrane.rest_scale"
         )
-    return Shape(
-        found.positions,
-        np.zeros_like(problem.supports.rows, dtype=float),
-        factor,
-        found.factorizations + (factor is not found.factor),
-    )
+    none = np.zeros_like(problem.supports.rows, dtype=float)
+    return Shape(found.positions, none, found.factor, found.factorizations).with_factor(factor)
 
 
 def largest_weight(problem: Problem, shape: Shape) -> float:

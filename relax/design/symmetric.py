@@ -16,16 +16,16 @@ from relax.membrane.symmetry import Symmetry, find_symmetry
 from relax.sparsity.supports import OrbitSupports, Supports
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class SymmetricProblem(Problem):
     """The symmetric answers of a problem: a problem of the same kind, with as many times fewer unknowns as the group has maps.
 
     `scene` has the representatives' arrays, relative to the axis; `original` is the whole problem. (MATHEMATICS.md, "Symmetry")
     """
 
-    original: Problem = None  # type: ignore[assignment]  # a dataclass gives what follows defaults a default
-    symmetry: Symmetry = None  # type: ignore[assignment]
-    orbits: OrbitMembrane = None  # type: ignore[assignment]
+    original: Problem
+    symmetry: Symmetry
+    orbits: OrbitMembrane
 
     @property
     def membrane(self) -> Membrane:
@@ -95,4 +95,4 @@ def symmetric_problem(problem: Problem) -> SymmetricProblem | None:
         metric=symmetry.mean_blocks(scene.metric) * share[:, None, None],
         support_weight=scene.support_weight[chosen] * share,
     )
-    return SymmetricProblem(reduced, problem.penalty, problem.weight, problem, symmetry, orbits)
+    return SymmetricProblem(reduced, problem.penalty, problem.weight, original=problem, symmetry=symmetry, orbits=orbits)

@@ -10,7 +10,7 @@ import numpy as np
 from relax.arrays import Floats, Mask
 from relax.design.optimality import judge
 from relax.design.problem import Problem
-from relax.design.refit import Shape
+from relax.design.refit import Shape, figures
 from relax.iterate import Record
 
 Callback = Callable[[Record], None]
@@ -113,8 +113,7 @@ class Journal:
             self.tally.reused += shape.factorizations == self.shapes[-1].factorizations
         if self.lift is not None:
             shape = self.lift(shape)
-            objective = self.problem.objective(shape.positions, shape.amplitudes)
-            record = {**record, "objective": objective, "supports": int(shape.amplitudes.any(axis=1).sum())}
+            record = figures(self.problem, shape, record["note"], ())
         self.shapes.append(replace(shape, factor=None))
         self.objective.append(record["objective"])
         self.seconds.append(self.elapsed())

@@ -55,12 +55,18 @@ class Membrane:
         return np.flatnonzero(~self.fixed)
 
     @cached_property
+    def _index(self) -> tuple[Ints, Ints]:
+        """Start and end of each edge among the free vertices, -1 where fixed."""
+        index = np.full(len(self.fixed), -1)
+        index[self.free] = np.arange(len(self.free))
+        start, end = index[self.edges.T]
+        return start, end
+
+    @cached_property
     def _incidence(self) -> csr_array:
         """D (n, E) on the free vertices: +1 where an edge ends, -1 where it starts, so D @ (q v) = -f."""
         count = len(self.edges)
-        index = np.full(len(self.fixed), -1)
-        index[self.free] = np.arange(len(self.free))
-        row = index[self.edges.T.ravel()]
+        row = np.concatenate(self._index)
         column = np.tile(np.arange(count), 2)
         sign = np.repeat([-1.0, 1.0], count)
         keep = row >= 0
@@ -78,9 +84,7 @@ class Membrane:
         Entries of the last array below E are edges (off-diagonal), from E on they are vertices (diagonal).
         """
         count, size = len(self.edges), len(self.free)
-        index = np.full(len(self.fixed), -1)
-        index[self.free] = np.arange(size)
-        a, b = index[self.edges.T]
+        a, b = self._index
         inside = np.flatnonzero((a >= 0) & (b >= 0))
         row = np.concatenate([a[inside], b[inside], np.arange(size)])
         column = np.concatenate([b[inside], a[inside], np.arange(size)])
@@ -158,7 +162,7 @@ class Membrane:
             return self._linear_factor
         state = self.edge_state(positions)
         bound = self._pivot_bound(np.minimum(state.density, state.stiffness), np.maximum(state.density, state.stiffness))
-        return Factor(self.stiffness(positions), self._symbolic, bound)
+        return Factor(self._assemble(_edge_stiffness(state)), self._symbolic, bound)
 
     def lifted_factor_at(self, positions: Floats) -> Factor:
         """The same of the taut part of K, lifted off singularity: definite, so a step is downhill."""
@@ -170,7 +174,7 @@ class Membrane:
 
     def tied_factor_at(self, positions: Floats, ties: Floats) -> Factor:
         """The same of K with a spring of stiffness `ties` (n, 3, 3) from each free vertex to the ground."""
-        whole = self._assemble(self._edge_stiffness(positions), ties.reshape(-1, 9))
+        whole = self._assemble(_edge_stiffness(self.edge_state(positions)), ties.reshape(-1, 9))
         if self.linear and np.array_equal(ties, ties[:, :1, :1] * np.eye(3)):
             return ScalarFactor(whole, Factor(csc_array(whole[::3, ::3]), self._scalar_symbolic))
         return Factor(whole, self._symbolic)
@@ -214,14 +218,7 @@ class Membrane:
         """K = -df/dx (3n, 3n), symmetric: edge blocks q I + (e'' - q) u u^T (MATHEMATICS.md, "Membrane")."""
         if self.linear:
             return self._linear_stiffness
-        return self._assemble(self._edge_stiffness(positions))
-
-    def _edge_stiffness(self, positions: Floats) -> Floats:
-        state = self.edge_state(positions)
-        outer = state.direction[:, :, None] * state.direction[:, None, :]
-        blocks: Floats = (state.stiffness - state.density)[:, None, None] * outer
-        blocks += state.density[:, None, None] * np.eye(3)
-        return blocks
+        return self._assemble(_edge_stiffness(self.edge_state(positions)))
 
     def taut_stiffness(self, positions: Floats, lift: float = 0.0) -> csc_array:
         """K without the parts that pushing edges make negative, positive semidefinite, and with `lift` added to its diagonal."""
@@ -257,7 +254,20 @@ class Membrane:
         pointer, column, source = self._blocks
         diagonal = self._ends @ blocks.reshape(-1, 9) + ground
         values = np.concatenate([-blocks.reshape(-1, 9), diagonal])[source].reshape(-1, 3, 3)
-        size = 3 * len(self.free)
-        rows = bsr_array((values, column, pointer), shape=(size, size)).tocsr()
-        # symmetric, so the rows of the compressed form are its columns
-        return csc_array((rows.data, rows.indices, rows.indptr), shape=rows.shape)
+        return symmetric_matrix(values, column, pointer)
+
+
+def _edge_stiffness(state: EdgeState) -> Floats:
+    """Blocks of the stiffness (E, 3, 3)."""
+    outer = state.direction[:, :, None] * state.direction[:, None, :]
+    blocks: Floats = (state.stiffness - state.density)[:, None, None] * outer
+    blocks += state.density[:, None, None] * np.eye(3)
+    return blocks
+
+
+def symmetric_matrix(blocks: Floats, column: Ints, pointer: Ints) -> csc_array:
+    """The symmetric (3n, 3n) matrix of blocks (b, 3, 3) by rows, explicit zeros kept."""
+    size = 3 * (len(pointer) - 1)
+    rows = bsr_array((blocks, column, pointer), shape=(size, size)).tocsr()
+    # symmetric, so the rows of the compressed form are its columns
+    return csc_array((rows.data, rows.indices, rows.indptr), shape=rows.shape)

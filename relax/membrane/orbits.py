@@ -8,14 +8,14 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.sparse import bsr_array, csc_array, csr_array
+from scipy.sparse import csc_array, csr_array
 
 from relax.arrays import Floats, Ints
-from relax.membrane.membrane import Membrane
+from relax.membrane.membrane import Membrane, symmetric_matrix
 from relax.membrane.symmetry import Symmetry
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class OrbitMembrane(Membrane):
     """One edge of each orbit of edges, between images of representatives; positions are relative to the symmetry's axis.
 
@@ -29,9 +29,8 @@ class OrbitMembrane(Membrane):
         Projection on the displacements that a vertex can have.
     """
 
-    # a dataclass gives what follows defaults a default
-    turns: Floats = None  # type: ignore[assignment]
-    invariant: Floats = None  # type: ignore[assignment]
+    turns: Floats
+    invariant: Floats
 
     @cached_property
     def _turned(self) -> tuple[Ints, Ints]:
@@ -43,14 +42,6 @@ class OrbitMembrane(Membrane):
     def _bound(self) -> Ints:
         """Free vertices (of n) that may not move in every direction."""
         return np.flatnonzero((self.invariant[self.free] != np.eye(3)).any(axis=(1, 2)))
-
-    @cached_property
-    def _index(self) -> tuple[Ints, Ints]:
-        """Start and end of each edge among the free vertices, -1 where fixed."""
-        index = np.full(len(self.fixed), -1)
-        index[self.free] = np.arange(len(self.free))
-        start, end = index[self.edges.T]
-        return start, end
 
     def edge_vectors(self, positions: Floats) -> Floats:
         """Edge vectors (E, 3): Q_b x_b - Q_a x_a."""
@@ -112,8 +103,7 @@ class OrbitMembrane(Membrane):
         parts = np.concatenate([at_start, at_end, across, across.transpose(0, 2, 1)]).reshape(-1, 9)
         values = (gather @ np.concatenate([parts, np.broadcast_to(ground, (count, 9))])).reshape(-1, 3, 3)
         self._project(values)
-        rows = bsr_array((values, column, pointer), shape=(3 * count, 3 * count)).tocsr()
-        return csc_array((rows.data, rows.indices, rows.indptr), shape=rows.shape)
+        return symmetric_matrix(values, column, pointer)
 
     def _seen(self, blocks: Floats, edges: Ints, left: int, right: int) -> Floats:
         """Blocks of some edges in the coordinates of the representatives at their ends: Q_left^T k Q_right."""
@@ -164,6 +154,6 @@ def orbit_membrane(membrane: Membrane, symmetry: Symmetry) -> OrbitMembrane:
         membrane.springs,
         membrane.fixed[symmetry.representatives],
         membrane.engine,
-        symmetry.turns[symmetry.element[ends]],
-        symmetry.invariant,
+        turns=symmetry.turns[symmetry.element[ends]],
+        invariant=symmetry.invariant,
     )
