@@ -43,7 +43,7 @@ from scipy.sparse import block_diag, csc_array, eye_array
 
 import relax
 from relax.convex.backends import BACKENDS
-from relax.design import solve as front_door
+from relax.design import race
 from relax.design.starts import heavy_starts
 from relax.factor import Factor, ScalarFactor, Symbolic
 from relax.membrane.membrane import Membrane
@@ -187,18 +187,18 @@ def in_one_piece() -> AbstractContextManager[Any]:
 
 def no_symmetry() -> AbstractContextManager[Any]:
     """Not even asked whether the scene has a symmetry."""
-    return patch("relax.design.solve.symmetric_problem", lambda problem: None)
+    return patch("relax.design.race.symmetric_problem", lambda problem: None)
 
 
 def second_round() -> AbstractContextManager[Any]:
     """Steps and rounding once more from where they ended."""
-    once = front_door._steps_and_rounding
+    once = race._steps_and_rounding
 
     def twice(problem: Any, start: Any, tools: Any) -> Any:
         shape, unrounded = once(problem, start, tools)
         return once(problem, replace(start, shape=shape, weight=None), tools)[0], unrounded
 
-    return patch("relax.design.solve._steps_and_rounding", twice)
+    return patch("relax.design.race._steps_and_rounding", twice)
 
 
 def other_starts() -> AbstractContextManager[Any]:
@@ -208,7 +208,7 @@ def other_starts() -> AbstractContextManager[Any]:
 
 def all_starts() -> AbstractContextManager[Any]:
     """Every start followed to its end, whether two agree or not."""
-    return patch("relax.design.solve._agree", lambda outcomes: False)
+    return patch("relax.design.race._agree", lambda outcomes: False)
 
 
 def first_weights() -> AbstractContextManager[Any]:

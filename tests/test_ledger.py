@@ -107,7 +107,7 @@ def test_a_second_round_is_skipped_only_where_nothing_is_missing():
         missing[0] = True
         return replace(result, missing=missing)
 
-    with patch("relax.design.solve.round_supports", missing_once):
+    with patch("relax.design.race.round_supports", missing_once):
         assert skipped(noisy(), "a second round") is None
     assert len(rounds) > 1
 

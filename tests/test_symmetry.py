@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import zoo
 
-from relax.design import solve as front_door
+from relax.design import race
 from relax.design.problem import Problem
 from relax.design.refit import Shape
 from relax.design.search import Search
@@ -298,7 +298,7 @@ def test_values_and_duals_are_the_wholes(case):
 
 def without(problem, monkeypatch):
     with monkeypatch.context() as patch:
-        patch.setattr(front_door, "symmetric_problem", lambda _: None)
+        patch.setattr(race, "symmetric_problem", lambda _: None)
         return solve(problem)
 
 
@@ -393,7 +393,7 @@ def test_supports_that_do_not_earn_their_cost_are_not_confirmed(weight, confirme
     problem = Problem(two_seats(), weight=weight)  # at 0.8 the symmetric answer is a saddle too
     reduced = symmetric_problem(problem)
     with monkeypatch.context() as patch:
-        patch.setattr(front_door, "symmetric_problem", lambda _: None)
+        patch.setattr(race, "symmetric_problem", lambda _: None)
         both = solve(reduced)
     shape = reduced.whole(Shape(both.positions, reduced.supports.amplitudes(both.forces[reduced.membrane.free]), None, 0))
     assert np.count_nonzero(problem.standing(shape.amplitudes)) == 2
