@@ -1,9 +1,9 @@
 """The convex step as data, and its certificate: what any back-end's answer is worth, computed from the data alone.
 
-    min over d, s   (d + r)^T M (d + r) + sum_g w_g |s_g|     s.t.   K d = h + B s
+    min over d, s   (d + r)^T M (d + r) + sum_g w_g |s_g|     s.t.   K d = h + B s,   s_g in C,   |s_g| <= F
 
-K is the stiffness, h = f + g what is unbalanced without supports, r = x - xhat, B the supports' basis, three amplitudes a
-group (MATHEMATICS.md, "One convex step"). Nothing here knows of membranes.
+K is the stiffness, h = f + g what is unbalanced without supports, r = x - xhat, B the supports' basis, c amplitudes a group;
+C and F are what a support can do, mostly anything (MATHEMATICS.md, "One convex step"). Nothing here knows of membranes.
 """
 
 from dataclasses import dataclass, replace
@@ -15,6 +15,7 @@ from scipy.sparse import csc_array
 from relax.arrays import Floats, Ints, Mask, lock_arrays
 from relax.errors import BackendError
 from relax.factor import Factor
+from relax.sparsity.reach import ANYTHING, Reach
 
 
 @dataclass(frozen=True)
@@ -30,10 +31,12 @@ class Subproblem:
         r.
     load : (3n,) newtons
         h.
-    rows : (m, 3) int
+    rows : (m, c) int
         Row of K that each amplitude acts on: B has ones there.
     weights : (m,)
-        w, positive.
+        w, 0 or above: at 0 a support is free.
+    reach : Reach
+        C and F of every group; its axes are those of `rows`.
     """
 
     factor: Factor
@@ -42,6 +45,7 @@ class Subproblem:
     load: Floats
     rows: Ints
     weights: Floats
+    reach: Reach = ANYTHING
 
     def __post_init__(self) -> None:
         lock_arrays(self)
@@ -52,7 +56,7 @@ class Subproblem:
 
     @property
     def basis(self) -> csc_array:
-        """B (3n, 3m)."""
+        """B (3n, cm)."""
         rows = self.rows.ravel()
         return csc_array((np.ones(rows.size), (rows, np.arange(rows.size))), shape=(len(self.offset), rows.size))
 
@@ -93,6 +97,7 @@ class Subproblem:
             self.load / force,
             self.rows,
             self.weights * (force / length**2),
+            replace(self.reach, largest=self.reach.largest / force),
         )
         return inner, force
 
@@ -103,10 +108,10 @@ class Solution:
 
     Parameters
     ----------
-    amplitudes : (m, 3) newtons
+    amplitudes : (m, c) newtons
     displacement : (3n,) metres
         d = K^-1 (h + B s).
-    dual : (m, 3)
+    dual : (m, c)
         B^T lam, lam = 2 K^-1 M (d + r): minus it lies in the ball of radius w where nothing stands.
     value, bound : float
         Objective, and a lower bound of the optimum from the dual point nearest at hand.
@@ -139,7 +144,7 @@ class Solution:
 
 
 def certify(step: Subproblem, amplitudes: Floats, ran: str = "") -> Solution:
-    """The certificate of any amplitudes (m, 3): value and lower bound from the step's data and one factorisation.
+    """The certificate of any amplitudes (m, c): value and lower bound from the step's data and one factorisation.
 
     The bound is c^T K lam - (K lam)^T M^+ (K lam) / 4 at lam scaled into the ball (MATHEMATICS.md), where K lam = 2 M (d + r).
     """

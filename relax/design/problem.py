@@ -17,6 +17,7 @@ from relax.factor import Factor
 from relax.membrane.membrane import Membrane
 from relax.membrane.scene import Scene
 from relax.sparsity.penalties import Penalty, make_penalty
+from relax.sparsity.reach import reach_of
 from relax.sparsity.supports import Supports, sizes
 
 
@@ -64,11 +65,14 @@ class Problem:
     def supports(self) -> Supports:
         free = self.membrane.free
         candidates = np.flatnonzero(self.scene.candidates[free])
-        return Supports(candidates, self.scene.support_weight[free][candidates], len(free))
+        said = self.scene.settings["supports"]
+        reach = reach_of(said["direction"], said["max_force"])
+        return Supports(candidates, self.scene.support_weight[free][candidates], len(free), reach)
 
     def standing(self, amplitudes: Floats) -> Mask:
-        """Which groups carry a force (m,)."""
-        return np.any(amplitudes != 0, axis=1)
+        """Which groups carry a force, or stand whatever comes (m,)."""
+        stands: Mask = np.any(amplitudes != 0, axis=1) | self.supports.always
+        return stands
 
     def all_forces(self, amplitudes: Floats) -> Floats:
         """Support forces of all vertices (V, 3), zero where none stands."""
@@ -77,13 +81,13 @@ class Problem:
         return forces
 
     def columns(self, factor: Factor, groups: Ints) -> Floats:
-        """K^-1 B of some groups (3n, 3k): how the membrane moves under a unit of each amplitude."""
+        """K^-1 B of some groups (3n, ck): how the membrane moves under a unit of each amplitude."""
         return factor.inverse_columns(self.supports.rows[groups].ravel())
 
     def candidates_at(self, positions: Floats, amplitudes: Floats) -> tuple[Ints, Floats, Floats]:
         """Every vertex where a support may stand: its group (c,), its place (c, 3) and the force there (c, 3)."""
         place = positions[self.membrane.free][self.supports.vertices]
-        return np.arange(len(place)), place, amplitudes
+        return np.arange(len(place)), place, self.supports.forces(amplitudes)[self.supports.vertices]
 
     @cached_property
     def loads(self) -> Floats:
@@ -156,7 +160,8 @@ class Problem:
     def linearised(self, positions: Floats, factor: Factor, weights: Floats) -> Subproblem:
         """The convex step at `positions` under `weights` (m,)."""
         unbalanced = self.membrane.forces(positions) + self.loads
-        return Subproblem(factor, self.metric, self.offset(positions).ravel(), unbalanced.ravel(), self.supports.rows, weights)
+        offset, supports = self.offset(positions).ravel(), self.supports
+        return Subproblem(factor, self.metric, offset, unbalanced.ravel(), supports.rows, weights, supports.reach)
 
     @property
     def strength(self) -> float:

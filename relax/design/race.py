@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from relax.convex.backends import BACKENDS, Backend
+from relax.design.methods import Method
 from relax.design.optimality import EQUILIBRIUM, Certificate, judge
 from relax.design.problem import Problem
 from relax.design.refit import Shape, refit
@@ -53,10 +54,11 @@ class Found:
 
 @dataclass(frozen=True)
 class Tools:
-    """What a run works with: its journal, and who solves its convex steps where somebody was named (None: what is fastest)."""
+    """What a run works with: its journal, who solves its convex steps and which method leads it where somebody was named."""
 
     journal: Journal
-    backend: Backend | None
+    backend: Backend | None = None  # None: what is fastest
+    method: Method | None = None  # None: sequential
 
 
 def best_of(problem: Problem, starts: list[Start] | None, tools: Tools) -> Found:
@@ -69,12 +71,14 @@ def best_of(problem: Problem, starts: list[Start] | None, tools: Tools) -> Found
             outcomes += _by_symmetry(problem, tools)
             settled = bool(outcomes) and outcomes[-1].certificate.converged
             starts = [] if settled else choose_starts(problem, None, journal.skipped)
+        if tools.method is not None:
+            starts = starts[:1]  # first weights, in which heavy starts differ, mean nothing to other methods
         for begin in starts:
             if _agree(outcomes):
                 journal.skipped.append(f"start {begin.name}: two starts ended at the same supports")
                 break
             outcomes.append(_run(problem, begin, tools))
-            if begin.name == "pulled" and not outcomes[-1].certificate.converged:
+            if tools.method is None and begin.name == "pulled" and not outcomes[-1].certificate.converged:
                 starts += _others(problem, nothing=outcomes[-1].shape is begin.shape)
         best = outcomes[0] if len(outcomes) == 1 else min(outcomes, key=_rank)
         if last_refit(problem) == "debiased":
@@ -97,7 +101,8 @@ def _by_symmetry(problem: Problem, tools: Tools) -> list[Outcome]:
     The search sees one vertex of each orbit first. Then the whole problem is searched from where that ended, since an answer that
     is not symmetric can be better; where few supports hold the target as it is, a look at those supports is enough.
     """
-    if not isinstance(_method(problem, tools), Search) or problem.scene.settings["solver"]["start"] == "heavy":
+    searches = tools.method is None and isinstance(_method(problem, tools), Search)
+    if not searches or problem.scene.settings["solver"]["start"] == "heavy":
         return []
     reduced = symmetric_problem(problem)
     if reduced is None:
@@ -144,12 +149,16 @@ def _others(problem: Problem, *, nothing: bool) -> list[Start]:
 
 
 def _run(problem: Problem, start: Start, tools: Tools) -> Outcome:
-    """Convex steps and rounding from one start; a membrane that no longer stands ends them with what was reached."""
+    """A method's steps and rounding from one start; a membrane that no longer stands ends them with what was reached."""
     trouble = ""
     journal = tools.journal
     journal.first = len(journal.shapes)
     try:
-        shape, unrounded = _steps_and_rounding(problem, start, tools)
+        if tools.method is None:
+            shape, unrounded = _steps_and_rounding(problem, start, tools)
+        else:
+            journal.stage = f"start {start.name}"
+            shape, unrounded = tools.method(problem, start, journal)
     except EquilibriumError as error:
         trouble = str(error)
         shape = unrounded = journal.shapes[-1] if len(journal.shapes) > journal.first else start.shape

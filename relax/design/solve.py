@@ -13,6 +13,7 @@ from relax.arrays import Floats
 from relax.convex.backends import BACKENDS, Backend
 from relax.design.ledger import sentences
 from relax.design.masts import Mast, standing_masts
+from relax.design.methods import Method, method_by_name
 from relax.design.optimality import EQUILIBRIUM, OFF_SUPPORT, Certificate
 from relax.design.parts import Part, PartJournal, assembled, counted, split
 from relax.design.problem import Problem
@@ -62,6 +63,7 @@ def solve(
     problem: Problem,
     start: tuple[Floats, Floats] | None = None,
     backend: Backend | None = None,
+    method: Method | None = None,
     callback: Callback | None = None,
 ) -> Design:
     """The membrane closest to the wanted shape under few supports, with the scene's own [solver] and [rounding].
@@ -73,6 +75,8 @@ def solve(
         Needed where the scene's `solver.start` names a result folder.
     backend : function Subproblem, start -> Solution, optional
         Solves each convex step; default: the one that the scene's `solver.backend` names.
+    method : function Problem, Start, Journal -> shapes after and before rounding, optional
+        Leads from a start to supports; default: the one that the scene's `solver.method` names.
     callback : function, optional
         Called once a step with step, objective, stationarity, supports, seconds and a note; its time is not counted.
 
@@ -84,13 +88,14 @@ def solve(
     # matrices here are small or sparse: more BLAS threads than one were measured to cost a factor of six
     with threadpool_limits(1, "blas"):
         problem = resolve_weight(problem)
-        named = problem.scene.settings["solver"]["backend"]
+        said = problem.scene.settings["solver"]
+        named = said["backend"]
         journal = Journal(problem, callback)
         if backend is None and named != "cvxpy":
             journal.skipped.append("the import of cvxpy: no convex step is handed to it")
         if backend is None and named != "auto":
             backend = BACKENDS[named]
-        return _solve(problem, start, Tools(journal, backend))
+        return _solve(problem, start, Tools(journal, backend, method or method_by_name(said["method"])))
 
 
 def _solve(problem: Problem, start: tuple[Floats, Floats] | None, tools: Tools) -> Design:

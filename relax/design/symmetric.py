@@ -35,20 +35,25 @@ class SymmetricProblem(Problem):
     def supports(self) -> Supports:
         plain = super().supports
         vertices = self.membrane.free[plain.vertices]
-        share, invariant = self.symmetry.share[vertices], self.symmetry.invariant[vertices]
-        return OrbitSupports(plain.vertices, plain.weights, plain.free, share, invariant)
+        share, invariant = self.symmetry.share[vertices], self._along(self.symmetry.invariant[vertices])
+        return OrbitSupports(plain.vertices, plain.weights, plain.free, plain.reach, share=share, invariant=invariant)
+
+    def _along(self, maps: Floats) -> Floats:
+        """Maps of vectors (k, 3, 3) as maps of amplitudes (k, c, c)."""
+        axes = self.original.supports.reach.axes
+        return maps[:, axes][:, :, axes]
 
     def columns(self, factor: Factor, groups: Ints) -> Floats:
         supports = self.supports
         assert isinstance(supports, OrbitSupports)
-        right = np.zeros((factor.matrix.shape[0], len(groups), 3))
+        right = np.zeros((factor.matrix.shape[0], len(groups), supports.width))
         blocks = supports.share[groups, None, None] * supports.invariant[groups]
         right[supports.rows[groups], np.arange(len(groups))[:, None], :] = blocks
         return factor.solve(np.asfortranarray(right.reshape(len(right), -1)))
 
     @cached_property
     def _candidates(self) -> tuple[Ints, Floats]:
-        """Group of every candidate of the whole (c,), and Q that takes its representative there (c, 3, 3)."""
+        """Group of every candidate of the whole (k,), and Q that takes its representative there (k, 3, 3)."""
         vertices = np.flatnonzero(self.original.scene.candidates & ~self.original.scene.fixed)
         group = np.full(len(self.symmetry.representatives), -1)
         group[self.membrane.free[self.supports.vertices]] = np.arange(len(self.supports.vertices))
@@ -57,7 +62,8 @@ class SymmetricProblem(Problem):
     def candidates_at(self, positions: Floats, amplitudes: Floats) -> tuple[Ints, Floats, Floats]:
         group, turns = self._candidates
         place = positions[self.membrane.free][self.supports.vertices]
-        return group, np.einsum("cij,cj->ci", turns, place[group]), np.einsum("cij,cj->ci", turns, amplitudes[group])
+        force = Supports.forces(self.supports, amplitudes)[self.supports.vertices]
+        return group, np.einsum("cij,cj->ci", turns, place[group]), np.einsum("cij,cj->ci", turns, force[group])
 
     def one_of_each(self, candidates: Ints) -> Ints:
         """Of the whole's candidates (k,) one of each orbit."""
@@ -69,7 +75,7 @@ class SymmetricProblem(Problem):
         positions = self.symmetry.whole(shape.positions) + self.symmetry.axis
         positions[scene.fixed] = scene.start[scene.fixed]
         group, turns = self._candidates
-        amplitudes = np.einsum("cij,cj->ci", turns, shape.amplitudes[group])
+        amplitudes = np.einsum("cij,cj->ci", self._along(turns), shape.amplitudes[group])
         assert len(amplitudes) == len(original.supports.vertices)
         return Shape(positions, amplitudes, None, shape.factorizations)
 
