@@ -23,6 +23,7 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.spatial import Delaunay
 
 from relax.arrays import Floats, Ints
+from relax.files.schema import resolve
 from relax.membrane.equilibrium import find_equilibrium
 from relax.membrane.mesh import Mesh, grid_mesh, mesh_from_faces
 from relax.membrane.scene import Scene, build_scene
@@ -40,6 +41,14 @@ FIVE_MASTS_FORCES = (  # where in plan, metres, and the force, newtons
     ((-3.6, -2.0), (-220.0, -60.0, 1200.0)),
     ((-2.2, 2.4), (80.0, -120.0, -900.0)),
     ((2.2, -2.6), (130.0, -90.0, -1000.0)),
+)
+
+SCALLOPED_SIDE = 23  # vertices along a side
+SCALLOPED_HALF = 6.0  # metres from the middle to a side of the square of the corners
+SCALLOPED_SAG = 0.16  # of that: how far the middle of each side is drawn in
+SCALLOPED_FORCES = (  # where in plan, metres, and the force, newtons
+    ((-1.5, -1.5), (40.0, -60.0, 900.0)),
+    ((1.9, 1.4), (60.0, 30.0, 700.0)),
 )
 
 BUMPS_SIDE = 26  # samples along a side of the unit square
@@ -66,10 +75,8 @@ class Planted:
 
 def planting_scene(name: str, mesh: Mesh, flat: Floats, rim: Floats) -> Scene:
     """Build the membrane of data/`name`.toml on the flat mesh, its fixed vertices where `rim` (V, 3) has them."""
-    written = tomllib.loads((DATA / f"{name}.toml").read_text(encoding="utf-8"))
-    membrane = {"springs": "hookean", "material": "fabric", "loads": [0.0, 0.0, 0.0]} | written["membrane"]
-    supports = {"fixed": "boundary", "candidates": "free", "never": [], "ground": 0.0}
-    return build_scene({"target": {"noise": None}, "membrane": membrane, "supports": supports}, mesh, rim, flat)
+    settings = resolve(tomllib.loads((DATA / f"{name}.toml").read_text(encoding="utf-8")), name)
+    return build_scene(settings, mesh, rim, flat)
 
 
 def plant(scene: Scene, flat: Floats, forces: Floats) -> Planted:
@@ -146,6 +153,20 @@ def five_masts() -> Planted:
     return plant(planting_scene("five-masts", mesh, flat, rim), flat, forces)
 
 
+def scalloped() -> Planted:
+    """Two masts under a roof that hangs from four corners, two high and two low, by cables along its free, drawn-in sides."""
+    u, v = np.meshgrid(*[np.linspace(-1.0, 1.0, SCALLOPED_SIDE)] * 2)
+    x, y = u * (1.0 - SCALLOPED_SAG * (1.0 - v**2)), v * (1.0 - SCALLOPED_SAG * (1.0 - u**2))
+    flat = np.column_stack([SCALLOPED_HALF * x.ravel(), SCALLOPED_HALF * y.ravel(), np.full(u.size, 3.5)])
+    rim = flat.copy()
+    rim[:, 2] += 1.5 * (u * v).ravel()
+    forces = np.zeros_like(flat)
+    for place, force in SCALLOPED_FORCES:
+        forces[np.argmin(np.linalg.norm(flat[:, :2] - place, axis=1))] = force
+    mesh = grid_mesh(SCALLOPED_SIDE, SCALLOPED_SIDE, "alternating")
+    return plant(planting_scene("scalloped", mesh, flat, rim), flat, forces)
+
+
 def bumps() -> Floats:
     """Three convex caps on a flat unit square: at each sample the highest of h (1 - d^2 / r^2) and 0, metres."""
     x, y = np.meshgrid(*[np.linspace(0.0, 1.0, BUMPS_SIDE)] * 2)
@@ -218,7 +239,7 @@ def write_planted(path: Path, planted: dict[str, Planted]) -> None:
 def make_data(folder: Path) -> None:
     """Write all made files into `folder`."""
     folder.mkdir(parents=True, exist_ok=True)
-    planted = {"tent": tent(), "five-masts": five_masts()}
+    planted = {"tent": tent(), "five-masts": five_masts(), "scalloped": scalloped()}
     for name, case in planted.items():
         write_obj(folder / f"{name}.obj", case.shape, case.mesh.faces)
         write_obj(folder / f"{name}-flat.obj", case.flat, case.mesh.faces)

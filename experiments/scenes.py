@@ -22,7 +22,7 @@ from rows import measured
 import relax
 
 DATA = Path(__file__).parent.parent / "data"
-PLANTED = ("tent", "five-masts", "tent-noisy")
+PLANTED = ("tent", "five-masts", "scalloped", "tent-noisy")
 SCENES = {"small": PLANTED, "full": (*PLANTED, "bumps", "pavilion", "terrain")}
 ROUNDS = {"small": 1, "full": 5}
 

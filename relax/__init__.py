@@ -4,16 +4,27 @@ from importlib import import_module
 from typing import Any
 
 _HOMES = {
+    "relax.design.form": ("form",),
+    "relax.design.assurance": ("Assurance", "assurance"),
+    "relax.design.compare": ("Row", "compare", "ranked"),
+    "relax.design.explain": ("Explanation", "MastValues", "SupportValue", "explain", "mast_values"),
+    "relax.design.methods.sequential": ("Sequential",),
     "relax.design.optimality": ("Certificate", "judge"),
+    "relax.design.path": ("largest_weight", "path"),
     "relax.design.problem": ("Problem",),
-    "relax.design.solve": ("Design", "form", "solve"),
+    "relax.design.solve": ("Design", "solve"),
     "relax.design.starts": ("resolve_weight",),
+    "relax.design.trade_off": ("TradeOff", "choose", "trade_off"),
     "relax.errors": ("BackendError", "EquilibriumError", "InputError", "RelaxError"),
     "relax.files": ("StoredResult", "load_result", "load_scene", "write_result"),
     "relax.membrane.mesh": ("Mesh", "grid_mesh", "mesh_from_faces"),
     "relax.membrane.scene": ("Scene", "build_scene"),
+    "relax.plots.curve": ("draw_trade_off",),
+    "relax.plots.field": ("draw_field",),
     "relax.plots.picture": ("draw_picture",),
-    "relax.sparsity.penalties": ("GroupLasso", "Power"),
+    "relax.sparsity.checks": ("Check", "check_penalty"),
+    "relax.sparsity.penalties": ("MCP", "SCAD", "Count", "GroupLasso", "LogSum", "Power", "group_prox"),
+    "relax.sparsity.surrogates": ("REWEIGHTED_L1", "REWEIGHTED_L2", "Continuation"),
 }
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
 

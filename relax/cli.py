@@ -2,12 +2,10 @@
 
 import json
 import os
-import signal
 import sys
-import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,12 +13,22 @@ import click
 
 from relax.errors import InputError, RelaxError
 from relax.screen import print_check, print_design, progress, warn
+from relax.shell import (
+    BAD_INPUT,
+    DONE,
+    INTERRUPTED,
+    NOT_CONVERGED,
+    hold_interrupts,
+    json_option,
+    output_option,
+    quiet_option,
+    set_option,
+    start_of,
+)
+from relax.studies import compare, explain, path
 
 if TYPE_CHECKING:
     from relax.design.solve import Design
-    from relax.membrane.scene import Scene
-
-DONE, NOT_CONVERGED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 EXAMPLE = """\b
 Example, from the project's folder:
@@ -29,7 +37,7 @@ Example, from the project's folder:
 """
 EXIT_STATUS = """\b
 Exit status: 0 done; 1 ran but did not converge (the result is written and says so);
-2 bad input (one sentence, nothing written); 130 interrupted (solve: the best so far is written).
+2 bad input (one sentence, nothing written); 130 interrupted (solve, path, compare: what there is is written).
 """
 
 
@@ -90,35 +98,18 @@ def app() -> None:
     """Inverse form-finding of tensile structures: from the shape you want to the few masts that hold it."""
 
 
-def _folder(_context: click.Context, _option: click.Parameter, text: str | None) -> Path | None:
-    """The folder typed after -o; empty text would mean the current one."""
-    if text is not None and not text.strip():
-        raise InputError("-o: the name of the result folder is empty: give one, or leave -o out")
-    return None if text is None else Path(text)
-
-
-def _output(default: str) -> Callable[[Any], Any]:
-    return click.option("-o", "--output", metavar="DIR", callback=_folder, help=f"Result folder. Default: {default}.")
-
-
-_json = click.option("--json", "as_json", is_flag=True, help="Print the content of result.json instead of a summary.")
-_quiet = click.option(
-    "--quiet", is_flag=True, help="No progress and no summary; warnings and errors stay, and --json still prints."
-)
-
-
 @app.command(epilog="\b\nExample: relax solve data/tent.toml --set penalty.weight=0.02 -o tent-light")
 @click.argument("scene", metavar="SCENE.toml", type=click.Path(path_type=Path))
-@_output("<scene name>-result in the current folder; ours in it is replaced, other files are kept")
+@output_option("<scene name>-result in the current folder; ours in it is replaced, other files are kept")
 @click.option("--method", metavar="M", help='Solver: "sequential".')
 @click.option("--backend", metavar="B", help='Convex step: "auto", "working-set", "clarabel" or "cvxpy" (readable, slow).')
 @click.option("--penalty", metavar="P", help='"power" (the paper\'s) or "group-lasso".')
 @click.option("--weight", metavar="K", type=float, help="Weight of the penalty: larger means fewer supports.")
 @click.option("--exponent", metavar="A", type=float, help="Exponent of the power penalty, above 0 and at most 1.")
 @click.option("--start", metavar="DIR", help='A result folder to start from, or "auto", "target", "heavy".')
-@click.option("--set", "assignments", metavar="SECTION.KEY=VALUE", multiple=True, help="Any key of the scene, as a TOML value.")
-@_json
-@_quiet
+@set_option
+@json_option
+@quiet_option
 def solve(scene: Path, output: Path | None, **options: Any) -> int:
     """Find the few supports that hold the wanted shape.
 
@@ -132,7 +123,7 @@ def solve(scene: Path, output: Path | None, **options: Any) -> int:
     check_output(folder)
     began = time.perf_counter()
     loaded = load_scene(scene, _overrides(scene, options))
-    start = _start(scene, loaded, options["start"])
+    start = start_of(scene, loaded, options["start"])
     read_seconds = time.perf_counter() - began
     with progress(quiet=options["quiet"]) as callback:
         design = find_design(Problem(loaded), start=start, callback=callback)
@@ -164,48 +155,27 @@ def _overrides(scene: Path, options: Mapping[str, Any]) -> list[str]:
     return [*short, *options["assignments"]]
 
 
-def _start(path: Path, scene: "Scene", typed: str | None) -> Any:
-    """Positions and forces of the result that the scene starts from, if it names one."""
-    from relax.files import load_result
-    from relax.files.scenes import STARTS, start_folder
-
-    folder = start_folder(path, scene)
-    if folder is None:
-        return None
-    if typed is not None and typed not in STARTS and os.path.samefile(typed, folder):
-        folder = Path(typed)
-    stored = load_result(folder)
-    if stored.scene.mesh.vertices != scene.mesh.vertices:
-        raise InputError(
-            f"{path}: solver.start: {folder} has {stored.scene.mesh.vertices} vertices, this scene {scene.mesh.vertices}; "
-            "start from a result on the same mesh"
-        )
-    return stored.positions, stored.forces
-
-
 @app.command(epilog="\b\nExample: relax form tent-result")
 @click.argument("result", metavar="RESULT_DIR", type=click.Path(path_type=Path))
-@_output("<name>-form-result beside RESULT_DIR, <name> without its -result")
+@output_option("<name>-form-result beside RESULT_DIR, <name> without its -result")
 @click.option(
     "--method",
     type=click.Choice(["newton", "dynamic-relaxation", "force-density"]),
     default="newton",
-    help="How to find the shape; in this version newton alone.",
+    help="How to find the shape; where it is unique all three agree.",
 )
-@_json
-@_quiet
+@json_option
+@quiet_option
 def form(result: Path, output: Path | None, method: str, **options: Any) -> int:
     """Find the shape under the forces of a result.
 
     Forward form-finding, from the flat start under the support forces that RESULT_DIR holds.
     """
+    from relax.design.form import form as find_shape
     from relax.design.optimality import EQUILIBRIUM
     from relax.design.problem import Problem
-    from relax.design.solve import form as find_shape
     from relax.files import check_output, load_result
 
-    if method != "newton":
-        raise InputError(f"--method {method}: this method is not in this version yet; leave the option out (default newton)")
     place = result.absolute()
     folder = output or place.parent / f"{place.name.removesuffix('-result')}-form-result"
     check_output(folder)
@@ -213,7 +183,7 @@ def form(result: Path, output: Path | None, method: str, **options: Any) -> int:
     stored = load_result(result)
     read_seconds = time.perf_counter() - began
     with progress(quiet=options["quiet"]) as callback:
-        design = find_shape(Problem(stored.scene), stored.forces, callback=callback)
+        design = find_shape(Problem(stored.scene), stored.forces, method, callback)
     if _finish(design, folder, read_seconds, options):
         return INTERRUPTED
     # a shape is asked for, not the best one: that it rests and stands is enough
@@ -223,7 +193,7 @@ def form(result: Path, output: Path | None, method: str, **options: Any) -> int:
 @app.command(epilog="\b\nExample: relax check tent-result")
 @click.argument("result", metavar="RESULT_DIR", type=click.Path(path_type=Path))
 @click.option("--json", "as_json", is_flag=True, help="Print result.json with the recomputed figures, `agrees` and `differing`.")
-@_quiet
+@quiet_option
 def check(result: Path, *, as_json: bool, quiet: bool) -> int:
     """Judge a result again, from its folder alone.
 
@@ -249,25 +219,9 @@ def check(result: Path, *, as_json: bool, quiet: bool) -> int:
     return DONE if certificate.converged and not wrong else NOT_CONVERGED
 
 
-@contextmanager
-def _hold_interrupts() -> Iterator[list[int]]:
-    """Keep Ctrl-C from breaking off what is inside; the list holds those that came."""
-    came: list[int] = []
-    before = signal.getsignal(signal.SIGINT)
-    # Python lets the main thread alone change this; a run in the background may ignore Ctrl-C as it is
-    if before in (None, signal.SIG_IGN) or threading.current_thread() is not threading.main_thread():
-        yield came
-        return
-    signal.signal(signal.SIGINT, lambda number, _frame: came.append(number))
-    try:
-        yield came
-    finally:
-        signal.signal(signal.SIGINT, before)
-
-
 def _finish(design: "Design", folder: Path, read_seconds: float, options: Mapping[str, Any]) -> bool:
     """Write the result, then say what it is; whether Ctrl-C came meanwhile, which does not lose a finished run."""
-    with _hold_interrupts() as came:
+    with hold_interrupts() as came:
         from relax.files import write_result
         from relax.plots.picture import draw_picture
 
@@ -282,6 +236,9 @@ def _finish(design: "Design", folder: Path, read_seconds: float, options: Mappin
         return True
     return bool(came)
 
+
+for command in (compare, path, explain):
+    app.add_command(command)
 
 if __name__ == "__main__":
     main()

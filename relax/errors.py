@@ -15,3 +15,7 @@ class EquilibriumError(RelaxError, ArithmeticError):
 
 class BackendError(RelaxError, RuntimeError):
     """A back-end cannot take a convex step, or did not solve it."""
+
+
+class UnsupportedError(BackendError, InputError):
+    """A back-end lacks what this kind of problem needs; the message says what, and who can."""

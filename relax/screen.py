@@ -15,6 +15,44 @@ if TYPE_CHECKING:
     from relax.files import StoredResult
 
 MOST_ROWS = 24  # of a table on the screen
+Column = tuple[str, str, str]  # a field of a row, its heading with the unit, and how a number is written
+PATH_COLUMNS: tuple[Column, ...] = (
+    ("weight", "weight", ".3g"),
+    ("supports", "supports", "d"),
+    ("rms_distance", "rms distance, m", ".4g"),
+    ("objective", "objective", ".6g"),
+    ("distance", "distance", ".4g"),
+    ("penalty", "penalty", ".4g"),
+    ("total_force", "force, N", ".4g"),
+    ("seconds", "seconds", ".2f"),
+    ("converged", "converged", ""),
+    ("chosen", "chosen", ""),
+)
+COMPARE_COLUMNS: tuple[Column, ...] = (
+    ("penalty", "penalty", ""),
+    ("method", "method", ""),
+    ("backend", "back-end", ""),
+    ("objective", "objective", ".6g"),
+    ("over_best", "over best", ".1e"),
+    ("supports", "supports", "d"),
+    ("rms_distance", "rms distance, m", ".4g"),
+    ("total_force", "force, N", ".4g"),
+    ("stationarity", "stationarity", ".1e"),
+    ("off_support", "off support", ".2g"),
+    ("seconds", "seconds", ".2f"),
+    ("stop", "stop", ""),
+)
+EXPLAIN_COLUMNS: tuple[Column, ...] = (
+    ("vertex", "vertex", "d"),
+    ("force", "force, N", ".4g"),
+    ("dual", "dual", ".4g"),
+    ("slope", "slope of R", ".4g"),
+    ("price", "price", ".4g"),
+    ("loss_distance", "distance without it", "+.4g"),
+    ("loss_objective", "objective without it", "+.4g"),
+    ("estimate", "estimate", "+.4g"),
+    ("share", "share", ".1%"),
+)
 
 
 @contextmanager
@@ -80,3 +118,28 @@ def print_check(stored: "StoredResult", judged: Mapping[str, Any], wrong: Sequen
 
 def _cell(value: Any) -> str:
     return f"{value:.12g}" if isinstance(value, float) else str(value).lower() if isinstance(value, bool) else str(value)
+
+
+def print_table(rows: Sequence[Mapping[str, Any]], columns: Sequence[Column]) -> None:
+    """Rows between bars, as Markdown has them; "-" where there is no figure."""
+    cells = [[heading for _, heading, _ in columns]]
+    cells += [[_shown(row[name], form) for name, _, form in columns] for row in rows]
+    widths = [max(len(line[index]) for line in cells) for index in range(len(columns))]
+    # the last column may be a sentence: it is not filled up
+    text = [index == len(columns) - 1 or not form for index, (_, _, form) in enumerate(columns)]
+    for number, line in enumerate(cells):
+        filled = [cell.ljust(width) if left else cell.rjust(width) for cell, width, left in zip(line, widths, text, strict=True)]
+        filled[-1] = filled[-1].rstrip()
+        click.echo(f"| {' | '.join(filled)} |")
+        if number == 0:
+            dashes = ["-" * width if left else "-" * (width - 1) + ":" for width, left in zip(widths, text, strict=True)]
+            dashes[-1] = "---"
+            click.echo(f"| {' | '.join(dashes)} |")
+
+
+def _shown(value: Any, form: str) -> str:
+    if value is None:
+        return "-"
+    if isinstance(value, bool):
+        return "yes" if value else ""
+    return format(value, form) if form else str(value)

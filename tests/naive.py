@@ -15,6 +15,34 @@ def taylor_order(function, derivative, h=1e-3):
     return float(np.log2(rest[0] / rest[1]))
 
 
+def prox(value, size, step):
+    """The least of (t - size)^2 / 2 + step value(t) over t >= 0 and where it is: a fine grid, then finer ones around its hollows.
+
+    `value` maps an array to an array. The constant size^2 / 2 is left out; the smaller t of equals.
+    """
+
+    def total(t):
+        return t * (t / 2 - size) + step * value(t)
+
+    grid = np.unique(
+        np.concatenate(
+            [np.linspace(0, size, 2001), size * np.geomspace(1e-14, 1, 2001), size - size * np.geomspace(1e-14, 1, 1001)]
+        )
+    )
+    height = total(grid)
+    walled = np.concatenate([[np.inf], height, [np.inf]])
+    hollows = np.flatnonzero((height <= walled[:-2]) & (height <= walled[2:]))
+    best = (float(height[0]), 0.0)
+    for hollow in hollows[np.argsort(height[hollows], kind="stable")[:4]]:
+        low, high = grid[max(hollow - 1, 0)], grid[min(hollow + 1, len(grid) - 1)]
+        for _ in range(12):
+            fine = np.linspace(low, high, 41)
+            lowest = int(np.argmin(total(fine)))
+            best = min(best, (float(total(fine)[lowest]), float(fine[lowest])))
+            low, high = fine[max(lowest - 1, 0)], fine[min(lowest + 1, 40)]
+    return best
+
+
 def _edges(membrane, x):
     """a, b, direction u, length, rest length and the law at each edge, one at a time."""
     for (a, b), rest, k in zip(membrane.edges, membrane.rest_length, membrane.spring_constant, strict=True):
@@ -139,4 +167,124 @@ def violation(quadratic, linear, weights, s):
         size = np.linalg.norm(force)
         miss = np.linalg.norm(lam + w * force / size) if size > 0 else max(np.linalg.norm(lam) - w, 0.0)
         worst = max(worst, miss / w)
+    return worst
+
+
+def dynamic_relaxation(membrane, x, applied, steps, margin):
+    """`steps` explicit steps of leap-frog with kinetic damping, vertex by vertex, for Hookean springs: masses never change."""
+    free = membrane.free
+    mass = np.zeros(len(x))
+    for (a, b), k in zip(membrane.edges, membrane.spring_constant, strict=True):
+        mass[a] += margin / 2 * k
+        mass[b] += margin / 2 * k
+    x, velocity, energies = x.copy(), np.zeros_like(x), [0.0, 0.0]
+    standing = True
+    for _ in range(steps):
+        force = forces(membrane, x)
+        force[free] += applied
+        after = velocity.copy()
+        for i in free:
+            after[i] += force[i] / mass[i] * (0.5 if standing else 1.0)
+        energy = sum(0.5 * mass[i] * after[i] @ after[i] for i in free)
+        if energy < energies[-1]:
+            a, b, c = energies[-2], energies[-1], energy
+            top = (a - c) / (2 * (a - 2 * b + c))  # of the parabola through (-1, a), (0, b), (1, c)
+            x[free] -= (0.5 - top) * velocity[free]  # b is the energy half a step ago
+            velocity, energies, standing = np.zeros_like(x), [0.0, 0.0], True
+            continue
+        x[free] += after[free]
+        velocity, standing = after, False
+        energies.append(energy)
+    return x
+
+
+def chain_shape(count, span, rest, stiffness, weight):
+    """Nodes (count + 2, 2) of a chain of equal springs hung between two points of one height, `weight` at each inner node.
+
+    The horizontal pull H is the same everywhere, the vertical one of edge j is that of the nodes on the way to the middle.
+    """
+    lift = weight * (count / 2 - np.arange(count + 1))  # vertical pull of each edge at its left end, upwards on the support
+
+    def edges(pull):
+        tension = np.hypot(pull, lift)
+        length = rest + tension / stiffness
+        return np.column_stack([length * pull / tension, -length * lift / tension])
+
+    low, high = 1e-12, stiffness * span
+    for _ in range(200):
+        middle = (low + high) / 2
+        low, high = (middle, high) if edges(middle)[:, 0].sum() < span else (low, middle)
+    return np.vstack([[0.0, 0.0], np.cumsum(edges(low), axis=0)])
+
+
+def nearest_in_cone(v, tangent):
+    """The nearest vector that leans at most by the angle whose tangent is given, by angles; None: v itself."""
+    if tangent is None:
+        return v
+    across, up = np.linalg.norm(v[:-1]), v[-1]
+    lean, largest = np.arctan2(across, up), np.arctan(tangent)
+    if lean <= largest:
+        return v
+    if lean >= largest + np.pi / 2 or (len(v) == 1 and up <= 0):
+        return np.zeros_like(v)
+    side = np.append(v[:-1] / across * np.sin(largest), np.cos(largest))
+    return (v @ side) * side
+
+
+def nearest(v, reach):
+    """The nearest force that a support can carry."""
+    inner = nearest_in_cone(v, reach.tangent)
+    size = np.linalg.norm(inner)
+    return inner if size <= reach.largest else inner * (reach.largest / size)
+
+
+def step_value(step, s):
+    """The value of a convex step at amplitudes, group by group."""
+    quadratic, linear, constant = reduced(step)
+    cost = sum(w * np.linalg.norm(one) + b * one @ one for w, b, one in zip(step.weights, step.bends, s, strict=True))
+    flat = s.ravel()
+    return float(constant + flat @ quadratic @ flat + 2 * linear @ flat + cost)
+
+
+def step_optimum(step, rounds=20_000):
+    """The optimum of a convex step by proximal gradient, accelerated, starting again when it swings back."""
+    quadratic, linear, _ = reduced(step)
+    quadratic = quadratic + np.diag(np.repeat(step.bends, step.rows.shape[1]))
+    pace = 1 / (2 * np.linalg.eigvalsh(quadratic)[-1])
+    s = point = np.zeros(step.rows.shape)
+    t = 1.0
+    for turn in range(rounds):
+        moved = point - pace * 2 * (quadratic @ point.ravel() + linear).reshape(s.shape)
+        after = np.zeros_like(s)
+        for g, v in enumerate(moved):
+            inner = nearest_in_cone(v, step.reach.tangent)
+            size = np.linalg.norm(inner)
+            if size > pace * step.weights[g]:
+                after[g] = inner / size * min(size - pace * step.weights[g], step.reach.largest)
+        if turn % 50 == 0 and np.abs(after - point).max() < 1e-16 * np.abs(after).max():
+            break
+        if np.vdot(point - after, after - s) > 0:
+            t, point = 1.0, s
+            continue
+        swing = (1 + np.sqrt(1 + 4 * t * t)) / 2
+        point, s, t = after + (t - 1) / swing * (after - s), after, swing
+    return s
+
+
+def step_violation(step, s):
+    """How far s is from stationary in a convex step, |s - P(s - gradient)| a group, relative to the largest gradient at none.
+
+    P as the nearest force is not the prox: the norm's own slope is taken along s, and where s is 0 the pull is compared with w.
+    """
+    quadratic, linear, _ = reduced(step)
+    gradient = 2 * (quadratic @ s.ravel() + linear).reshape(s.shape)
+    largest, worst = 2 * np.abs(linear).max(), 0.0
+    for lam, w, b, force in zip(gradient, step.weights, step.bends, s, strict=True):
+        size = np.linalg.norm(force)
+        if size == 0:
+            worst = max(worst, (np.linalg.norm(nearest_in_cone(-lam, step.reach.tangent)) - w) / largest)
+            continue
+        slope = lam + w * force / size + 2 * b * force
+        pace = size / largest  # the step of a projected gradient, of the size of the force
+        worst = max(worst, np.linalg.norm(force - nearest(force - pace * slope, step.reach)) / size)
     return worst

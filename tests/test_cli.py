@@ -13,7 +13,9 @@ from folders import bump, write_scene
 
 import relax.cli
 from relax.cli import run
+from relax.design.form import NOTES
 from relax.files import load_result
+from relax.membrane.formers import FORMERS
 
 QUICK = "[penalty]\nweight = 0.02\n"
 
@@ -132,6 +134,22 @@ def test_form_finds_the_same_shape_again(solved, capfd):
     assert run(["form", "hill-result", "-o", "x", "--quiet"]) == 0 and "x" in names(solved)
 
 
+@pytest.mark.parametrize("method", FORMERS)
+def test_form_by_each_method(method, solved, capfd):
+    assert run(["form", "hill-result", "--method", method]) == 0
+    out, err = capfd.readouterr()
+    assert "hill: converged" in out and NOTES[method] in err
+    formed = load_result("hill-form-result")
+    np.testing.assert_allclose(formed.positions, load_result("hill-result").positions, atol=1e-9)
+    assert run(["check", "hill-form-result", "--quiet"]) == 0
+    assert names(solved / "hill-form-result") == names(solved / "hill-result")
+
+
+def test_form_offers_the_methods_that_there_are(capfd):
+    run(["form", "--help"])
+    assert f"[{'|'.join(FORMERS)}]" in capfd.readouterr().out
+
+
 def test_a_run_that_does_not_converge_says_so_and_is_written(here, capfd):
     # no run gets below a tolerance of nothing
     impossible = ["--set", "solver.tolerance=1e-300", "--set", "penalty.weight=0.001"]
@@ -146,8 +164,17 @@ BAD = [
     (["solve", "broken.toml"], "broken.toml: this is not valid TOML"),
     (["solve", "hill.toml", "--set", "penalty.wieght=1"], 'hill.toml: penalty.wieght: unknown key; perhaps "weight" is meant'),
     (["solve", "hill.toml", "--penalty", "l1"], 'hill.toml: penalty.name = "l1": expected "group-lasso" or "power"'),
-    (["solve", "hill.toml", "--penalty", "mcp"], "not in this version yet"),
-    (["solve", "hill.toml", "--method", "lagrangian"], "not in this version yet"),
+    (["solve", "hill.toml", "--penalty", "mcp"], 'hill.toml: penalty.knee is missing: penalty.name = "mcp" needs it'),
+    (["solve", "hill.toml", "--method", "newton"], 'hill.toml: solver.method = "newton": expected "sequential" or'),
+    (["solve", "hill.toml", "--quiet", "--backend", "osqp"], "OSQP takes no second-order cones, so not the norm of a force"),
+    (["solve", "hill.toml", "--method", "greedy", "--backend", "clarabel"], "the method greedy solves no convex steps"),
+    (["solve", "hill.toml", "--method", "lagrangian", "--set", "supports.direction='up'"], "sequential"),
+    (["solve", "hill.toml", "--method", "exact"], "the exact method needs a membrane whose shape is linear in the forces"),
+    (["solve", "hill.toml", "--penalty", "count", "--backend", "working-set"], 'the penalty "count" jumps at zero'),
+    (
+        ["solve", "hill.toml", "--penalty", "count", "--set", "penalty.weight_fraction=0.1"],
+        "jumps at zero, so no weight is the largest",
+    ),
     (["solve", "hill.toml", "--weight", "-1"], "penalty.weight = -1.0: expected a number above 0"),
     (["solve", "hill.toml", "--weight", "nan"], "penalty.weight = nan: expected a number above 0"),
     (["solve", "hill.toml", "--weight", "x"], "'x' is not a valid float"),
@@ -175,7 +202,6 @@ BAD = [
     (["check", "nowhere"], "nowhere: no such folder"),
     (["check", "."], "this folder holds no result"),
     (["form", "nowhere"], "nowhere: no such folder"),
-    (["form", ".", "--method", "force-density"], "--method force-density: this method is not in this version yet"),
     (["form", ".", "--method", "magic"], "'magic' is not one of"),
 ]
 
@@ -211,11 +237,13 @@ def test_help_shows_examples_and_no_command_of_later_versions(capfd):
     assert run(["--help"]) == 0
     out = capfd.readouterr().out
     assert "relax solve data/tent.toml" in out and "relax check tent-result" in out
-    for later in ("compare", "path", "plot", "new"):
+    for command in ("solve", "form", "check", "compare", "path", "explain"):
+        assert f"\n  {command} " in out
+    for later in ("plot", "new"):
         assert f"\n  {later} " not in out
     assert run([]) == 0
     assert capfd.readouterr().out.rstrip() == out.rstrip()
-    for command in ("solve", "form", "check"):
+    for command in ("solve", "check", "compare", "path", "explain", "form"):
         assert run([command, "-h"]) == 0
     assert "<name>-form-result" in " ".join(capfd.readouterr().out.split()).replace("<name>- form", "<name>-form")
     assert run(["--version"]) == 0

@@ -2,6 +2,8 @@
 
 import csv
 import runpy
+from collections import Counter
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -9,12 +11,13 @@ import pytest
 
 from relax.arrays import Floats
 from relax.files import load_scene
+from relax.files.meshes import read_mesh
 from relax.membrane.scene import Scene
 
 ROOT = Path(__file__).resolve().parent.parent
 DATA = ROOT / "data"
-SCENES = ("tent", "tent-noisy", "bumps", "pavilion", "five-masts", "terrain")
-PLANTED = ("tent", "five-masts")
+SCENES = ("tent", "tent-noisy", "bumps", "pavilion", "five-masts", "scalloped", "terrain")
+PLANTED = ("tent", "five-masts", "scalloped")
 
 
 @pytest.fixture(scope="module")
@@ -112,6 +115,29 @@ def test_the_supports_that_the_planted_scenes_promise():
     apart = np.linalg.norm(places[:, None] - places[None], axis=2)[~np.eye(5, dtype=bool)]
     assert apart.min() > 3.0  # five mesh widths
     assert (five.mesh.faces[:, 3] == -1).all()
+
+
+def test_the_scalloped_roof_hangs_from_its_corners_by_the_cables_along_its_sides():
+    scene = load_scene(DATA / "scalloped.toml")
+    forces = planted_forces("scalloped", 529)
+    assert np.flatnonzero(forces.any(axis=1)).tolist() == [192, 337]
+    corners = [0, 22, 506, 528]
+    assert np.flatnonzero(scene.fixed).tolist() == corners
+    np.testing.assert_allclose(scene.target[corners, 2], [5, 2, 2, 5])
+    # the cables run along the whole outline, once
+    sides = [tuple(sorted(pair)) for cable in scene.settings["membrane"]["cables"] for pair in pairwise(cable["path"])]
+    faces = [[v for v in face if v >= 0] for face in scene.mesh.faces.tolist()]
+    count = Counter(tuple(sorted(pair)) for face in faces for pair in zip(face, face[1:] + face[:1], strict=True))
+    assert sorted(sides) == sorted(side for side, uses in count.items() if uses == 1)
+    cabled = np.array([tuple(edge) in set(sides) for edge in scene.mesh.edges.tolist()])
+    tension = scene.membrane.tension(scene.target)
+    assert tension[cabled].min() > 5 * tension[~cabled].max()
+    # drawn in further than cut, and without cables the shape is none
+    flat, middle = read_mesh(DATA / "scalloped-flat.obj")[0], [11, 253, 275, 517]
+    assert (np.linalg.norm(scene.target[middle, :2], axis=1) < np.linalg.norm(flat[middle, :2], axis=1) - 0.1).all()
+    bare = load_scene(DATA / "scalloped.toml", {"membrane.cables": []})
+    unbalanced = np.linalg.norm(bare.membrane.forces(bare.target) + forces[~bare.fixed], axis=1)
+    assert unbalanced.max() > 0.5 * tension[~cabled].max()
 
 
 def test_the_bumps_follow_the_formula_in_the_readme():

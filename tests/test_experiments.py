@@ -18,7 +18,11 @@ EXPERIMENTS = Path(__file__).parent.parent / "experiments"
         ("price", {"case", "vertices", "engine", "inverse / forward", "at most", "exact", "stationarity", "converged"}),
         ("scale", {"vertices", "engine", "inverse, s", "overall", "peak, GB", "converged"}),
         ("peers", {"case", "method", "times relax", "before rounding", "objective", "same supports", "converged"}),
+        ("paper_method", {"scene", "eps", "state", "at the mast", "magnitude", "stationarity", "converged"}),
+        ("formulations", {"scene", "penalty", "method", "back-end", "objective", "above", "stationarity", "converged"}),
         ("ablation", {"skip", "scene", "there", "with, s", "without, s", "saved", "apart", "same supports", "as said"}),
+        ("refinement", {"case", "vertices", "supports", "objective", "tip, m", "beside, m", "off", "converged"}),
+        ("forms", {"case", "vertices", "method", "seconds", "iterations", "residual", "found", "apart, m", "ran", "stop"}),
         ("factors", {"engine", "first, s", "again, s", "memory, MB", "60 columns, s"}),
     ],
 )

@@ -107,7 +107,7 @@ def test_a_second_round_is_skipped_only_where_nothing_is_missing():
         missing[0] = True
         return replace(result, missing=missing)
 
-    with patch("relax.design.race.round_supports", missing_once):
+    with patch("relax.design.methods.sequential.round_supports", missing_once):
         assert skipped(noisy(), "a second round") is None
     assert len(rounds) > 1
 
@@ -115,3 +115,14 @@ def test_a_second_round_is_skipped_only_where_nothing_is_missing():
 def test_cvxpy_is_not_imported_unless_asked_for():
     assert skipped(noisy(), "cvxpy") is not None
     assert skipped(noisy(solver__backend="cvxpy"), "cvxpy") is None
+
+
+def test_vertical_supports_spare_two_columns_of_three():
+    scene = zoo.planted(9, sigma=0.01, supports__direction="up").scene
+    skipped = solve(Problem(scene)).skipped
+    said = next(sentence for sentence in skipped if "each candidate needs one, not three" in sentence)
+    looked = len(Problem(scene).supports.vertices) - int(
+        next(sentence for sentence in skipped if "never looked at" in sentence).split()[4].replace(",", "")
+    )
+    assert int(said.split()[0]) == 2 * looked
+    assert not any("not three" in sentence for sentence in solve(Problem(zoo.planted(9, sigma=0.01).scene)).skipped)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import zoo
-from naive_judge import differences, naive_figures, result_arrays
+from naive_judge import differences, felt, naive_figures, nearest, result_arrays
 
 from relax.design.optimality import Certificate, judge
 from relax.design.problem import Problem
@@ -18,7 +18,23 @@ PENALTIES = {
     "power, alpha 0.8": {"penalty__exponent": 0.8, "penalty__weight": 5e-3, "penalty__smoothing": 1e-5},
     "power, alpha 1": {"penalty__exponent": 1.0, "penalty__weight": 5e-3},
     "group lasso": {"penalty__name": "group-lasso", "penalty__weight": 5e-3},
+    "log-sum": {"penalty__name": "log-sum", "penalty__scale": 0.1, "penalty__weight": 5e-3},
+    "mcp": {"penalty__name": "mcp", "penalty__knee": 0.2, "penalty__weight": 5e-3},
+    "scad": {"penalty__name": "scad", "penalty__knee": 0.05, "penalty__shape": 3.7, "penalty__weight": 5e-3},
+    "count": {"penalty__name": "count", "penalty__weight": 5e-3},
 }
+REACHES = {
+    "vertical": {"supports__direction": "vertical"},
+    "up": {"supports__direction": "up", "target__metric": "height"},
+    "lean 0": {"supports__direction": {"lean": 0.0}},
+    "lean 30": {"supports__direction": {"lean": 30.0}},
+    "lean 90": {"supports__direction": {"lean": 90.0}},
+    "capped": {"supports__max_force": 0.08},
+    "vertical, capped": {"supports__direction": "vertical", "supports__max_force": 0.08},
+    "up, capped": {"supports__direction": "up", "supports__max_force": 0.08},
+    "lean 20, capped": {"supports__direction": {"lean": 20.0}, "supports__max_force": 0.08, "target__metric": "normal"},
+}
+KEPT = {"supports__always": [16, 24], "supports__weights": "height", "supports__ground": -0.1}
 
 
 def scene_with(**changes):
@@ -79,6 +95,46 @@ def test_what_the_solver_ends_at_is_converged_for_the_twin_too(springs, penalty)
     said = compared(problem, design.positions, design.forces)
     assert said == design.certificate
     assert said.converged and said.supports > 0 and said.warnings == ()
+
+
+@pytest.mark.parametrize("penalty", PENALTIES)
+@pytest.mark.parametrize("reach", REACHES)
+def test_supports_that_cannot_do_everything_are_judged_as_the_twin_judges_them(reach, penalty):
+    """Forces within reach, which lie on its edges, and beyond; two supports kept whatever comes, with a force and without."""
+    changes = {**REACHES[reach], **PENALTIES[penalty], "supports__never": [10], **KEPT}
+    scene = zoo.planted(7, zoo.TWO_MASTS, 0.01, **changes).scene
+    problem, asked = Problem(scene), scene.settings["supports"]
+    rng = np.random.default_rng(1)
+    met = []
+    for stands in ([8, 16, 24, 30], [8, 30], [24], []):
+        wild = np.zeros_like(scene.target)
+        for vertex in stands:
+            wild[vertex] = felt(rng.normal(0, 0.2, 3) if vertex > 8 else np.array([0.1, -0.1, -0.2]), asked)
+        for forces in (wild, np.array([nearest(force, asked) for force in wild])):
+            positions = at_rest(problem, forces)
+            for refit in ("penalised", "debiased"):
+                said = compared(problem, positions, forces, refit)
+            met.append(not any("supports.direction" in sentence for sentence in said.warnings))
+    assert all(met[1::2]) and (reach == "vertical" or not met[0])
+
+
+@pytest.mark.parametrize("penalty", PENALTIES)
+@pytest.mark.parametrize("reach", ["lean 30", "lean 20, capped"])
+def test_answers_on_the_edges_of_the_reach_are_converged_for_the_twin_too(reach, penalty):
+    problem = Problem(zoo.planted(7, zoo.TWO_MASTS, 0.01, **{**REACHES[reach], **PENALTIES[penalty], **KEPT}).scene)
+    design = solve(problem)
+    said = compared(problem, design.positions, design.forces)
+    assert said == design.certificate and said.converged and said.supports > 0
+
+
+@pytest.mark.parametrize("direction", ["vertical", "up"])
+def test_a_sideways_force_where_supports_are_vertical_is_not_accepted(direction):
+    problem = Problem(zoo.planted(7, supports__direction=direction).scene)
+    found = solve(problem)
+    forces = found.forces.copy()
+    forces[24, 0] = 1e-6
+    said = judge(problem, at_rest(problem, forces), forces)
+    assert found.certificate.converged and not said.converged and "supports.direction" in said.warnings[-1]
 
 
 def test_a_debiased_answer_is_stationary_without_the_penalty_alone():

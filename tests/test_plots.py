@@ -14,6 +14,7 @@ from PIL import Image
 
 from relax.arrays import Floats
 from relax.design.masts import standing_masts
+from relax.files.schema import resolve
 from relax.membrane.mesh import grid_mesh
 from relax.membrane.scene import Scene, build_scene
 from relax.plots.perspective import cut_lines, face_patches, line_patches, paint, place_camera, slice_surface
@@ -26,16 +27,7 @@ def grid_scene(diagonals: str = "alternating", unit: float = 1.0, fixed: str = "
     row, column = np.indices((9, 7))
     height = 0.5 * np.sin(np.pi * row / 8) * np.sin(np.pi * column / 6)
     target = unit * np.column_stack([column.ravel(), row.ravel(), height.ravel()]).astype(float)
-    membrane = {
-        "springs": "hookean",
-        "material": "fabric",
-        "stiffness": 1.0,
-        "rest": "plan",
-        "rest_scale": 0.7,
-        "loads": [0, 0, 0],
-    }
-    supports = {"fixed": fixed, "candidates": "free", "never": [], "ground": -unit}
-    settings = {"title": "Dome", "target": {"noise": None}, "membrane": membrane, "supports": supports}
+    settings = resolve({"title": "Dome", "target": {"mesh": "dome.obj"}, "supports": {"fixed": fixed, "ground": -unit}})
     return build_scene(settings, grid_mesh(9, 7, diagonals), target, None)
 
 

@@ -189,3 +189,33 @@ def test_nothing_stands_nothing_to_do():
     fine = refit(problem, bare)
     assert not fine.amplitudes.any()
     np.testing.assert_allclose(fine.positions, bare.positions, atol=1e-12)
+
+
+BOUND = {
+    "up and capped": (6, 7.75e-5, {"supports__direction": "up", "supports__max_force": 0.227, "supports__always": [26, 22]}),
+    "capped": (7, 2.7e-4, {"supports__max_force": 0.022}),
+    "lean 30": (7, 7.6e-5, {"supports__direction": {"lean": 30.0}, "membrane__rest_scale": 0.9}),
+}
+
+
+@pytest.mark.parametrize("name", BOUND)
+@pytest.mark.parametrize("mode", ["penalised", "debiased"])
+def test_forces_held_back_from_many_sides_still_become_stationary(name, mode):
+    """All candidates at once, each pushing a little: most end at nothing, at the cone or at the cap."""
+    count, weight, changes = BOUND[name]
+    scene = zoo.planted(count, zoo.TWO_MASTS, 0.01, 119, penalty__name="group-lasso", penalty__weight=weight, **changes).scene
+    problem = Problem(scene)
+    few = problem.supports.none.copy()
+    few[:, -1] = 0.01
+    begin = rest(problem, Shape(scene.start, few, None, 0))
+    found = refit(problem, begin, mode)
+    said = judge(problem, found.positions, problem.all_forces(found.amplitudes), mode)
+    assert said.stationarity <= 1e-8 and said.equilibrium <= 1e-10
+    assert value(problem, found, mode == "penalised") < value(problem, begin, mode == "penalised")
+
+
+def test_a_first_force_beyond_the_largest_is_cut_back():
+    problem = Problem(zoo.planted(7, supports__max_force=0.1).scene)
+    found = refit(problem, start(problem, {12: (0.0, 0.0, 0.3)}))
+    said = judge(problem, found.positions, problem.all_forces(found.amplitudes))
+    assert np.linalg.norm(found.amplitudes[12]) == pytest.approx(0.1) and said.stationarity <= 1e-8 and said.warnings == ()

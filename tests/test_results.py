@@ -247,6 +247,10 @@ def set_penalty(**changes):
     return lambda folder: edit_json(folder, lambda said: said["settings"]["penalty"].update(changes))
 
 
+def set_always(*vertices):
+    return lambda folder: edit_json(folder, lambda said: said["settings"]["supports"].update(always=list(vertices)))
+
+
 BROKEN = [
     (shutil.rmtree, "no such folder"),
     (lambda folder: [entry.unlink() for entry in folder.iterdir()], "this folder holds no result"),
@@ -277,6 +281,10 @@ BROKEN = [
     (changed("spring_constant", 0, -1), "spring_constant: entry 0 is -1.0"),
     (changed("support_weight", 8, -1), "support_weight: entry 8 is -1.0"),
     (changed("support_weight", slice(None), 0), "support_weight: entry 8 is 0.0, expected a number above 0 where"),
+    (changed("support_weight", 24, 0), "support_weight: entry 24 is 0.0, expected a number above 0 where a support may stand"),
+    (set_always(24), "result.npz: support_weight: entry 24 is 1.0, expected 0, as supports.always lists that vertex"),
+    (set_always(24, 49), "supports.always in result.json names vertex 49, but there are vertices 0 to 48 here"),
+    (set_always(0), "candidates: vertex 0 is none, but supports.always in result.json lists it"),
     (changed("start", (3, 2), -1e200), "start is -1e+200 at index [3, 2], beyond 1e+30"),
     (changed("positions", (0, 0), 1e200), "positions is 1e+200 at index [0, 0], beyond 1e+30"),
     (changed("fixed", slice(None), 1), "fixed: every vertex is fixed"),
@@ -290,6 +298,14 @@ def test_broken_results_get_one_sentence_that_starts_with_the_folder(folder, bre
     said = refusal(load_result, folder)
     assert said.startswith(str(folder))
     assert sentence.replace("it is no", "this is no") in said
+
+
+def test_a_support_that_always_stands_has_no_weight(folder):
+    set_always(24)(folder)
+    changed("support_weight", 24, 0)(folder)
+    stored = load_result(folder)
+    assert stored.scene.settings["supports"]["always"] == [24]
+    assert np.flatnonzero(stored.scene.support_weight == 0).tolist() == [24]
 
 
 @pytest.mark.parametrize("name", ["result.json", "result.npz"])

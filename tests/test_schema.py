@@ -1,12 +1,20 @@
+import importlib.util
 import json
 import math
+from dataclasses import dataclass
+from typing import Annotated
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from relax.convex.backends import BACKENDS
+from relax.design.methods import METHODS
 from relax.errors import InputError
-from relax.files.schema import LATER, SCHEMA, resolve
+from relax.files import schema
+from relax.files.schema import SCHEMA, drop_replaced, resolve
+from relax.sparsity.parameters import Numbers
+from relax.sparsity.penalties import PENALTIES, GroupLasso, make_penalty
 
 HEIGHTS = {"heights": "a.npy", "spacing": [1, 2]}
 
@@ -131,6 +139,21 @@ BAD = [
     (scene(supports={"fixed": [0, -1]}), "supports.fixed = [0, -1] (entry 1 is -1)"),
     (scene(supports={"fixed": [True]}), "entry 0 is true"),
     (scene(supports={"candidates": {"box": [[0, 0]]}}), "supports.candidates"),
+    (
+        {"target": {**HEIGHTS, "metric": "hight"}},
+        'target.metric = "hight": perhaps "height" is meant; expected "pairs" or "normal"',
+    ),
+    ({"target": {**HEIGHTS, "area_weights": 1}}, "target.area_weights = 1: expected true or false"),
+    (scene(membrane={"cables": [{"path": [0], "stiffness": 1}]}), "membrane.cables"),
+    (scene(membrane={"cables": [{"path": [0, 1]}]}), "membrane.cables = [{ path = [0, 1] }] (entry 0 is { path = [0, 1] })"),
+    (scene(membrane={"cables": [{"path": [0, 1], "stiffness": 0}]}), "expected a list of tables { path = [vertices], stiffness"),
+    (scene(membrane={"cables": [{"path": [0, 1], "stiffness": 1, "rest_scale": 0}]}), "membrane.cables"),
+    (scene(membrane={"cables": {"path": [0, 1], "stiffness": 1}}), "membrane.cables"),
+    (scene(supports={"direction": {"lean": 91}}), 'supports.direction = { lean = 91 } (lean is 91): expected "any", "vertical"'),
+    (scene(supports={"direction": "down"}), 'supports.direction = "down": expected "any", "vertical", "up" or { lean'),
+    (scene(supports={"weights": "length"}), 'supports.weights = "length": expected "uniform" or "height"'),
+    (scene(supports={"max_force": 0}), "supports.max_force = 0: expected a number above 0, newtons"),
+    (scene(supports={"always": [0.5]}), "supports.always = [0.5] (entry 0 is 0.5): expected a list of vertices"),
     (scene(supports={"ground": "low"}), 'supports.ground = "low": expected a finite number'),
     (scene(penalty={"weight": 1, "weight_fraction": 0.1}), "penalty: both weight and weight_fraction are given"),
     (scene(penalty={"weight": 0}), "penalty.weight = 0: expected a number above 0"),
@@ -145,7 +168,18 @@ BAD = [
     ),
     (scene(penalty={"name": "group-lasso", "smoothing": 1.0}), "penalty.smoothing"),
     (scene(penalty={"knee": 1.0}), 'penalty.knee = 1.0: this key applies only with penalty.name = "mcp" or "scad"'),
-    (scene(penalty={"name": "l1"}), 'penalty.name = "l1": expected "group-lasso" or "power"'),
+    (scene(penalty={"name": "l1"}), 'penalty.name = "l1": expected "group-lasso" or "power" or "log-sum" or "mcp" or "scad" or'),
+    (scene(penalty={"name": "log-sum"}), 'penalty.scale is missing: penalty.name = "log-sum" needs it; give a number above 0'),
+    (scene(penalty={"name": "mcp"}), 'penalty.knee is missing: penalty.name = "mcp" needs it; give a number above 0, newtons'),
+    (scene(penalty={"name": "scad", "shape": 3}), 'penalty.knee is missing: penalty.name = "scad" needs it'),
+    (
+        scene(penalty={"name": "mcp", "knee": 1, "shape": 3}),
+        'penalty.shape = 3.0: this key applies only with penalty.name = "scad"',
+    ),
+    (scene(penalty={"name": "count", "scale": 1}), 'penalty.scale = 1.0: this key applies only with penalty.name = "log-sum"'),
+    (scene(penalty={"name": "log-sum", "scale": 0}), "penalty.scale = 0: expected a number above 0, newtons"),
+    (scene(penalty={"name": "mcp", "knee": "1"}), 'penalty.knee = "1": expected a number above 0, newtons'),
+    (scene(penalty={"name": "scad", "knee": 1, "shape": 2}), "penalty.shape = 2: expected a number above 2"),
     (scene(rounding={"refit": "penalized"}), 'perhaps "penalised" is meant'),
     (scene(solver={"tolerance": 0}), "solver.tolerance = 0: expected a number above 0"),
     (scene(solver={"start": 3}), "solver.start = 3: expected"),
@@ -164,42 +198,58 @@ def test_no_smoothing_is_fine_where_the_penalty_is_convex():
     assert resolve(scene(penalty={"smoothing": 0, "exponent": 1}))["penalty"]["smoothing"] == 0
 
 
-LATER_VALUES = [
-    ("target", "metric", "normal"),
-    ("target", "metric", "height"),
-    ("target", "area_weights", True),
-    ("membrane", "cables", [{"path": [0, 1], "stiffness": 1}]),
-    ("supports", "direction", "vertical"),
-    ("supports", "direction", "up"),
-    ("supports", "direction", {"lean": 30}),
-    ("supports", "weights", "height"),
-    ("supports", "max_force", 10),
-    ("supports", "always", [1]),
-    *(("penalty", "name", name) for name in ("log-sum", "mcp", "scad", "count")),
-    ("solver", "method", "lagrangian"),
-    ("solver", "backend", "osqp"),
-]
+PENALTY_KEYS = {
+    "group-lasso": {},
+    "power": {"exponent": 0.5, "smoothing": 1e-6},
+    "log-sum": {"scale": 2.0},
+    "mcp": {"knee": 2.0},
+    "scad": {"knee": 2.0, "shape": 3.7},
+    "count": {},
+}
 
 
-@pytest.mark.parametrize(("section", "key", "value"), LATER_VALUES)
-def test_features_of_later_versions_are_refused_as_such(section, key, value, monkeypatch):
-    raw = scene(**{section: {key: value}}) if section != "target" else {"target": {**HEIGHTS, key: value}}
-    with pytest.raises(InputError, match=rf"^{section}\.{key} = .* not in this version yet; leave the key out"):
-        resolve(raw)
-    # taking the one line out of the table is all that it takes
-    monkeypatch.delitem(LATER, (section, key))
-    extra = {"log-sum": {"scale": 1}, "mcp": {"knee": 1}, "scad": {"knee": 1}}.get(value if isinstance(value, str) else "", {})
-    raw[section] = {**raw[section], **extra}
-    got = resolve(raw)[section][key]
-    assert got in (value, [{"path": [0, 1], "stiffness": 1.0, "rest_scale": 1.0}], {"lean": 30.0})
+@pytest.mark.parametrize("name", PENALTY_KEYS)
+def test_each_penalty_has_its_own_keys_and_no_other(name):
+    keys = PENALTY_KEYS[name]
+    needed = {key: value for key, value in keys.items() if key in ("scale", "knee")}
+    got = resolve(scene(penalty={"name": name, **needed}))["penalty"]
+    assert {key for key, value in got.items() if value is not None} == {"name", "weight", *keys}
+    assert {key: got[key] for key in keys} == keys
+    made = make_penalty(got)
+    assert made.name == name and {key: getattr(made, key) for key in keys} == keys
+    assert set(PENALTY_KEYS) == set(PENALTIES) == set(SCHEMA["penalty"]["name"].possible)
 
 
-def test_the_sentence_on_a_later_feature():
-    with pytest.raises(InputError) as caught:
-        resolve(scene(supports={"direction": "up"}))
-    assert str(caught.value) == (
-        'supports.direction = "up": supports in a chosen direction are not in this version yet; leave the key out (default "any")'
-    )
+def test_another_penalty_by_name_drops_the_keys_of_the_one_before():
+    keys = {"name": "log-sum", "scale": 2.0, "weight": 3.0}
+    drop_replaced("penalty", keys, {"name"})
+    assert keys == {"name": "log-sum", "scale": 2.0, "weight": 3.0}
+    keys["name"] = "mcp"
+    drop_replaced("penalty", keys, {"name"})
+    assert keys == {"name": "mcp", "weight": 3.0}
+
+
+def test_a_new_penalty_is_one_class_and_its_name_in_the_registry(monkeypatch):
+    @dataclass(frozen=True)
+    class Exponential(GroupLasso):
+        rate: Annotated[float, Numbers("a number above 0, 1 / newton", lambda rate: rate > 0)]
+        shape: Annotated[float, Numbers("a number above 2", lambda shape: shape > 2)] = 5.0
+        name = "exponential"
+
+    monkeypatch.setitem(PENALTIES, "exponential", Exponential)
+    spec = importlib.util.spec_from_file_location("schema_again", schema.__file__)
+    again = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(again)
+    got = again.resolve(scene(penalty={"name": "exponential", "rate": 2}))["penalty"]
+    # each penalty fills in its own default of a key that two have
+    assert (got["rate"], got["shape"]) == (2, 5)
+    assert again.resolve(scene(penalty={"name": "scad", "knee": 1}))["penalty"]["shape"] == 3.7
+    with pytest.raises(InputError, match=r"penalty\.rate = 0: expected a number above 0, 1 / newton"):
+        again.resolve(scene(penalty={"name": "exponential", "rate": 0}))
+    with pytest.raises(InputError, match=r'penalty\.rate is missing: penalty\.name = "exponential" needs it'):
+        again.resolve(scene(penalty={"name": "exponential"}))
+    with pytest.raises(InputError, match=r'applies only with penalty\.name = "scad" or "exponential"'):
+        again.resolve(scene(penalty={"shape": 4}))
 
 
 def test_defaults_given_explicitly_are_fine():
@@ -235,3 +285,28 @@ def test_any_value_is_taken_as_plain_json_or_refused(changes):
         json.dumps(resolve(raw), allow_nan=False)
     except InputError as error:
         assert "\n" not in str(error)
+
+
+@pytest.mark.parametrize(
+    ("section", "key", "value", "kept"),
+    [
+        ("target", "metric", "normal", "normal"),
+        ("target", "metric", "height", "height"),
+        ("target", "area_weights", True, True),
+        ("membrane", "cables", [{"path": [0, 1], "stiffness": 1}], [{"path": [0, 1], "stiffness": 1.0, "rest_scale": 1.0}]),
+        ("supports", "direction", "vertical", "vertical"),
+        ("supports", "direction", "up", "up"),
+        ("supports", "direction", {"lean": 30}, {"lean": 30.0}),
+        ("supports", "direction", {"lean": 0}, {"lean": 0.0}),
+        ("supports", "weights", "height", "height"),
+        ("supports", "max_force", 10, 10.0),
+        ("supports", "always", [1, 4], [1, 4]),
+        *(("solver", "method", name, name) for name in METHODS),
+        *(("solver", "backend", name, name) for name in BACKENDS),
+    ],
+)
+def test_what_a_scene_can_ask_for(section, key, value, kept):
+    raw = scene(**{section: {key: value}}) if section != "target" else {"target": {**HEIGHTS, key: value}}
+    got = resolve(raw)
+    assert got[section][key] == kept
+    assert json.loads(json.dumps(got)) == got

@@ -12,6 +12,7 @@ from test_solve import FIVE
 
 from relax.convex.backends import clarabel
 from relax.design import search
+from relax.design.landscape import Landscape
 from relax.design.problem import Problem
 from relax.design.refit import Shape, refit
 from relax.design.rounding import round_supports
@@ -241,7 +242,7 @@ def test_a_penalty_of_the_users_own_is_searched_with(penalty):
 @every_scene
 def test_peaks_and_neighbours_are_those_of_the_mesh(name):
     problem = Problem(SCENES[name]())
-    method = Search(problem)
+    land = Landscape(problem)
     place = problem.membrane.free[problem.supports.vertices]
     near = [{i} for i in range(len(place))]
     for a, b in problem.membrane.edges:
@@ -249,13 +250,12 @@ def test_peaks_and_neighbours_are_those_of_the_mesh(name):
         if i.size and j.size:
             near[i[0]].add(int(j[0]))
             near[j[0]].add(int(i[0]))
-    pointer, column = method._neighbours
-    assert [set(column[pointer[i] : pointer[i + 1]].tolist()) for i in range(len(place))] == near
+    assert [{i, *land.beside(i).tolist()} for i in range(len(place))] == near
     field = np.random.default_rng(0).random(len(place))
     tops = [i for i in range(len(place)) if all(field[i] >= field[j] for j in near[i])]
-    assert method._peaks(field).tolist() == sorted(tops, key=lambda i: -field[i])
+    assert land.peaks(field).tolist() == sorted(tops, key=lambda i: -field[i])
     every = np.arange(len(place))
-    assert method._uphill(field, every).tolist() == [max(near[i], key=lambda j: field[j]) for i in range(len(place))]
+    assert land.uphill(field, every).tolist() == [max(near[i], key=lambda j: field[j]) for i in range(len(place))]
 
 
 def test_a_model_that_promises_what_is_not_so_ends_the_search_with_the_reason(monkeypatch):
@@ -291,19 +291,23 @@ def test_where_nothing_comes_of_the_pulled_start_the_heavy_ones_are_taken(monkey
     assert design.certificate.converged and design.certificate.objective == pytest.approx(heavy.certificate.objective, rel=1e-8)
 
 
-def test_a_backend_that_was_named_still_takes_the_convex_steps(monkeypatch):
-    scene = zoo.planted(7, sigma=0.01, penalty__weight=5e-3, solver__backend="clarabel").scene
-    called = []
-    monkeypatch.setattr(Search, "step", lambda *_: called.append("search"))
-    design = solve(Problem(scene))
-    assert design.certificate.converged and not called
+def test_a_backend_that_was_named_takes_the_convex_steps_and_the_search_has_the_last_word(monkeypatch):
+    scene = zoo.planted(7, sigma=0.01, penalty__weight=5e-3).scene
+    called, step = [], Search.step
+    monkeypatch.setattr(Search, "step", lambda *given: (called.append("search"), step(*given))[1])
 
-    def counted(step, shape):
+    def counted(given, shape):
         called.append("convex step")
-        return clarabel(step, shape)
+        return clarabel(given, shape)
 
-    plain = zoo.planted(7, sigma=0.01, penalty__weight=5e-3).scene
-    assert solve(Problem(plain), backend=counted).certificate.converged and set(called) == {"convex step"}
+    design = solve(Problem(scene), backend=counted)
+    assert design.certificate.converged
+    assert called[0] == "convex step" and called[-1] == "search"
+    first = called.index("search")
+    assert set(called[:first]) == {"convex step"} and set(called[first:]) == {"search"}
+    stages = [note.split(":")[0] for note in design.trace.notes]
+    moves = [stage for stage in stages if "moves" in stage]
+    assert design.trace.objective[-1] <= design.trace.objective[len(stages) - len(moves) - 1] * (1 + 1e-12)
 
 
 def test_force_sizes_of_the_dense_start_are_not_what_is_kept():

@@ -68,6 +68,14 @@ def test_a_weight_fraction_is_a_share_of_where_no_support_passes_the_judges_dual
     assert resolve_weight(problem) is problem
 
 
+def test_no_fraction_of_nothing_is_a_weight():
+    """A roof that hangs below its flat shape, and supports that can only push."""
+    changes = {"supports__direction": "up", "penalty__weight": None, "penalty__weight_fraction": 0.1}
+    problem = Problem(zoo.grid_scene(5, lambda x, y: -zoo.hill(x, y), **changes))
+    with pytest.raises(InputError, match=r"^penalty\.weight_fraction: no support .* nearer to the target \(supports\.direction"):
+        resolve_weight(problem)
+
+
 def test_a_weight_that_is_given_stays_and_a_run_resolves_its_own():
     problem = Problem(noisy(penalty__weight=0.5))
     assert resolve_weight(problem) is problem

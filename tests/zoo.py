@@ -15,6 +15,7 @@ from relax.membrane.membrane import Membrane
 from relax.membrane.mesh import Mesh, grid_mesh, mesh_from_faces
 from relax.membrane.scene import Scene, build_scene
 from relax.membrane.springs import Hookean
+from relax.sparsity.reach import ANYTHING, Reach
 
 
 def settings(**changes):
@@ -155,11 +156,13 @@ def mixed() -> tuple[Mesh, np.ndarray]:
     return mesh_from_faces(5, np.array([[0, 1, 2, 3], [1, 4, 2, -1]])), positions
 
 
-def convex_step(scene=None, fraction=0.2, at=None, candidates=None, metric=None, spread=0.0):
+def convex_step(scene=None, fraction=0.2, at=None, candidates=None, **asked):
     """The convex step of a scene linearised at `at` (default: its flat start), weights a fraction of the largest useful one.
 
-    `candidates`: how many, at random; `metric`: (3n, 3n) sparse; `spread`: of the weights, a lognormal's sigma.
+    `candidates`: how many, at random. Asked for may be a `metric`, (3n, 3n) sparse, a `spread` of the weights, a lognormal's
+    sigma, and a `reach`.
     """
+    reach, spread, metric = asked.get("reach", ANYTHING), asked.get("spread", 0.0), asked.get("metric")
     scene = planted(6, TWO_MASTS, 0.02).scene if scene is None else scene
     rng = np.random.default_rng(3)
     x = scene.start if at is None else at
@@ -171,10 +174,11 @@ def convex_step(scene=None, fraction=0.2, at=None, candidates=None, metric=None,
         csc_array(eye_array(3 * count)) if metric is None else metric,
         (x - scene.target)[free].ravel(),
         (scene.membrane.forces(x) + scene.loads[free]).ravel(),
-        3 * vertices[:, None] + np.arange(3),
+        3 * vertices[:, None] + np.array(reach.axes),
         np.exp(spread * rng.normal(size=len(vertices))),
+        reach,
     )
-    largest = np.linalg.norm(certify(step, np.zeros(step.rows.shape)).dual, axis=1) / step.weights
+    largest = reach.pull(certify(step, step.nothing).dual) / step.weights
     return replace(step, weights=fraction * largest.max() * step.weights)
 
 
@@ -202,7 +206,55 @@ def convex_steps():
     at = steps["at the target"]
     steps["a hair off the target"] = replace(at, offset=1e-12 * rng.normal(size=48))
     steps["millimetres"] = in_millimetres(steps["medium"])
+    return steps | reach_steps()
+
+
+def reach_steps():
+    """Steps in which supports cannot do everything that they would, or some cost nothing; 16 free vertices each."""
+    scene = planted(6, PULLED, 0.02).scene
+    rng = np.random.default_rng(5)
+    normals = rng.normal(size=(16, 3))
+    along_normals = csc_array(block_diag([np.outer(n, n) / (n @ n) for n in normals]))
+    height = csc_array(diags_array(np.tile([0.0, 0.0, 1.0], 16)))
+    lean = Reach(tangent=float(np.tan(np.pi / 6)))
+    sideways = Reach(tangent=float(np.tan(np.pi / 2)))
+    up = Reach((2,), 0.0)
+    medium = convex_step(scene, 0.2)
+    steps = {
+        "vertical": convex_step(scene, 0.2, reach=Reach((2,))),
+        "vertical, uneven weights": convex_step(scene, 0.05, spread=1.0, reach=Reach((2,))),
+        "up": convex_step(scene, 0.1, reach=up),
+        "lean 30": convex_step(scene, 0.1, reach=lean),
+        "lean 30 along normals": convex_step(scene, 0.1, metric=along_normals, reach=lean),
+        "lean 90": convex_step(scene, 0.02, reach=sideways),
+        "capped": convex_step(scene, 0.1, reach=Reach(largest=CAP)),
+        "vertical, capped": convex_step(scene, 0.1, reach=Reach((2,), largest=CAP)),
+        "up, capped": convex_step(scene, 0.1, reach=replace(up, largest=CAP)),
+        "lean 30, capped": convex_step(scene, 0.1, reach=replace(lean, largest=CAP)),
+        "lean 90, capped": convex_step(scene, 0.05, reach=replace(sideways, largest=CAP)),
+        "along normals": convex_step(scene, 0.2, metric=along_normals),
+        "vertical, height alone": convex_step(scene, 0.1, metric=height, reach=Reach((2,))),
+    }
+    for name, count, base in [
+        ("one kept", 1, medium),
+        ("three kept, height alone", 3, convex_step(scene, 0.2, metric=height)),
+        ("two kept, vertical", 2, steps["vertical"]),
+        ("three kept, lean 30", 3, steps["lean 30"]),
+        ("three kept, capped", 3, steps["capped"]),
+        ("three kept, lean 30, capped", 3, steps["lean 30, capped"]),
+        ("three kept, up", 3, steps["up"]),
+    ]:
+        weights = base.weights.copy()
+        weights[rng.permutation(16)[:count]] = 0.0
+        steps[name] = replace(base, weights=weights)
+    bends = rng.uniform(0.2, 2, 16) * np.trace(medium.factor.solve(medium.factor.solve(np.eye(48)))) / 48
+    steps["least squares"] = replace(medium, weights=0 * bends, curvature=bends)
+    steps["bent, capped"] = replace(steps["vertical, capped"], curvature=0.1 * bends)
     return steps
+
+
+PULLED = (((0.25, 0.25), (0.25, 0.1, 0.2)), ((0.75, 0.5), (0.1, 0.0, -0.25)), ((0.5, 0.75), (0.0, -0.3, 0.1)))
+CAP = 0.08  # newtons: some of the supports in the steps above would carry more
 
 
 def in_millimetres(step):

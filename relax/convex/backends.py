@@ -1,37 +1,42 @@
-"""Who solves a convex step: named functions Subproblem -> Solution, every answer certified here by the step's own data."""
+"""Who solves a convex step: named functions Subproblem -> Solution, every answer certified here by the step's own data.
+
+A solver of its own is one file with a function that makes amplitudes (m, c) of a step, and a line in `BACKENDS`; the scene
+format takes its names from there. It is imported when it is used.
+"""
 
 from collections.abc import Callable
+from importlib import import_module
 
 import numpy as np
 
 from relax.arrays import Floats
-from relax.convex.cone import solve_with_clarabel
-from relax.convex.reference import solve_with_cvxpy
 from relax.convex.subproblem import Solution, Subproblem, certify
 from relax.convex.working_set import GAP, solve_on_working_set
 from relax.errors import BackendError
 
 Backend = Callable[[Subproblem, Floats], Solution]
-MANY = 120  # groups that the working set may look at; beyond, the full cone program is faster (experiments/steps.py)
+MANY = 360  # columns of K^-1 that the working set may make; beyond, the full cone program is faster (experiments/steps.py)
 COARSE = 0.01  # relative gap at which the first supports of a start are known well enough
 WRONG = 1e-4  # relative gap above which a point is no solution
 
 
-def clarabel(step: Subproblem, start: Floats) -> Solution:
-    """The full cone program, its zeros made exact on the groups that its dual certificate lets stand."""
-    del start  # an interior point takes no warm start
-    return polish(step, solve_with_clarabel(step), "clarabel")
+def solver(name: str, where: str) -> Backend:
+    """A back-end from the solver at "module:function": its answer polished, whatever the start."""
+
+    def backend(step: Subproblem, start: Floats) -> Solution:
+        del start  # neither an interior point nor an operator splitting gains from one
+        module, function = where.split(":")
+        return polish(step, getattr(import_module(module), function)(step), name)
+
+    return backend
 
 
-def cvxpy(step: Subproblem, start: Floats) -> Solution:
-    """The readable model, its zeros made exact in the same way."""
-    del start
-    return polish(step, solve_with_cvxpy(step), "cvxpy")
+clarabel = solver("clarabel", "relax.convex.cone:solve_with_clarabel")
 
 
 def working_set(step: Subproblem, start: Floats) -> Solution:
     """The working set; where too many candidates matter for it, the full cone program."""
-    solution = solve_on_working_set(step, start, MANY)
+    solution = solve_on_working_set(step, start, _many(step))
     if solution.gap <= 10 * GAP:
         return solution
     try:
@@ -44,11 +49,19 @@ def working_set(step: Subproblem, start: Floats) -> Solution:
 
 def quick(step: Subproblem, start: Floats) -> Solution:
     """The working set alone, to a coarse gap or as far as it got: for a step whose only use is to start a sequence."""
-    return solve_on_working_set(step, start, MANY, COARSE)
+    return solve_on_working_set(step, start, _many(step), COARSE)
+
+
+BACKENDS: dict[str, Backend] = {
+    "working-set": working_set,
+    "clarabel": clarabel,
+    "osqp": solver("osqp", "relax.convex.quadratic:solve_with_osqp"),
+    "cvxpy": solver("cvxpy", "relax.convex.reference:solve_with_cvxpy"),
+}
 
 
 def polish(step: Subproblem, raw: Floats, name: str) -> Solution:
-    """A solver's amplitudes (m, 3) with their certificate, zeros made exact by the dual and the last digits by the working set.
+    """A solver's amplitudes (m, c) with their certificate, zeros made exact by the dual and the last digits by the working set.
 
     Raises
     ------
@@ -60,13 +73,15 @@ def polish(step: Subproblem, raw: Floats, name: str) -> Solution:
         raise BackendError(f"{name} left a duality gap of {rough.gap:.1e} on a convex step, which is no solution")
     # by strong convexity the dual is known to about the root of the gap
     margin = max(1e-6, np.sqrt(max(rough.gap, 0.0)))
-    stands = np.linalg.norm(rough.dual, axis=1) >= (1 - margin) * step.weights
+    stands = step.reach.pull(rough.dual) >= (1 - margin) * step.weights
     exact = np.where(stands[:, None], raw, 0.0)
-    if stands.sum() > MANY:
+    if stands.sum() > _many(step):
         return certify(step, exact, name)
-    fine = solve_on_working_set(step, exact, MANY)
+    fine = solve_on_working_set(step, exact, _many(step))
     best = fine if fine.gap <= rough.gap else certify(step, exact, name)
     return Solution(best.amplitudes, best.displacement, best.dual, best.value, best.bound, name)
 
 
-BACKENDS: dict[str, Backend] = {"working-set": working_set, "quick": quick, "clarabel": clarabel, "cvxpy": cvxpy}
+def _many(step: Subproblem) -> int:
+    """Groups that the working set may look at."""
+    return MANY // step.rows.shape[1]

@@ -8,7 +8,7 @@ from relax.errors import BackendError
 
 
 def solve_with_cvxpy(step: Subproblem, solver: str = "CLARABEL") -> Floats:
-    """Amplitudes (m, 3) newtons of the step by any solver that cvxpy knows.
+    """Amplitudes (m, c) newtons of the step by any solver that cvxpy knows.
 
     Raises
     ------
@@ -20,12 +20,18 @@ def solve_with_cvxpy(step: Subproblem, solver: str = "CLARABEL") -> Floats:
     inner, unit = step.scaled()
     d = cp.Variable(len(inner.offset))
     s = cp.Variable(inner.rows.shape)
+    sizes = cp.norm(s, 2, axis=1)
 
     distance = cp.quad_form(d + inner.offset, cp.psd_wrap(inner.metric))
-    masts = inner.weights @ cp.norm(s, 2, axis=1)
-    equilibrium = inner.stiffness @ d == inner.load + inner.basis @ cp.vec(s, order="C")
+    masts = inner.weights @ sizes + inner.bends @ cp.sum(cp.square(s), axis=1)
+    constraints = [inner.stiffness @ d == inner.load + inner.basis @ cp.vec(s, order="C")]
+    if inner.reach.tangent is not None:
+        lean = np.arctan(inner.reach.tangent)
+        constraints += [np.cos(lean) * cp.norm(s[:, :-1], 2, axis=1) <= np.sin(lean) * s[:, -1], s[:, -1] >= 0]
+    if np.isfinite(inner.reach.largest):
+        constraints += [sizes <= inner.reach.largest]
 
-    problem = cp.Problem(cp.Minimize(distance + masts), [equilibrium])
+    problem = cp.Problem(cp.Minimize(distance + masts), constraints)
     try:
         problem.solve(solver=solver)
     except cp.SolverError as error:

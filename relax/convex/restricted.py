@@ -1,29 +1,32 @@
 """The convex step on few groups, solved to the last digit: Newton on the groups that stand, zeros by their certificate.
 
-min over s   s^T G s + 2 b^T s + sum_g w_g |s_g|,     G (3k, 3k) positive semidefinite, k small
+    min over s   s^T G s + 2 b^T s + sum_g w_g |s_g|     s.t.   s_g in C,   |s_g| <= F,        G (ck, ck) positive semidefinite
+
+Here is what serves where a support can do anything and none is free of cost; the rest is in semismooth.py.
 """
 
 from dataclasses import dataclass, replace
+from typing import Any
 
-import clarabel
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
-from scipy.sparse import block_diag, coo_array, csc_array, csc_matrix
+from scipy.sparse import csc_array, csr_array, eye_array
 
 from relax.arrays import Floats
+from relax.convex.semismooth import ACCURACY, SAME, proximal
+from relax.errors import BackendError
 from relax.iterate import Stop, iterate
+from relax.sparsity.reach import ANYTHING, Reach
 
-ACCURACY = 1e-12  # gradient relative to the weights
 ENOUGH = 1e-9  # where round-off ends on neighbouring candidates, whose columns are nearly parallel
-SAME = 1e-13  # relative difference of values that is round-off
 WARM = 12  # Newton steps that a good start needs at most; more means a hard step
 LIMIT = 60
 
 
 @dataclass(frozen=True)
 class _State:
-    amplitudes: Floats  # (k, 3)
-    gradient: Floats  # (k, 3) of the quadratic
+    amplitudes: Floats  # (k, c)
+    gradient: Floats  # (k, c) of the quadratic
     value: float
     residual: float
     stuck: bool = False
@@ -38,7 +41,7 @@ class _Restricted:
     def state(self, amplitudes: Floats) -> _State:
         flat = amplitudes.ravel()
         product = self.quadratic @ flat
-        gradient = 2 * (product + self.linear).reshape(-1, 3)
+        gradient = 2 * (product + self.linear).reshape(amplitudes.shape)
         size = np.linalg.norm(amplitudes, axis=1)
         value = float(flat @ product + 2 * self.linear @ flat + self.weights @ size)
         stands = size > 0
@@ -61,17 +64,19 @@ class _Restricted:
         s = state.amplitudes[stands]
         size = np.linalg.norm(s, axis=1)
         unit = s / size[:, None]
-        index = (3 * stands[:, None] + np.arange(3)).ravel()
+        width = s.shape[1]
+        index = (width * stands[:, None] + np.arange(width)).ravel()
         hessian = 2 * self.quadratic[np.ix_(index, index)]
-        curved = (self.weights[stands] / size)[:, None, None] * (np.eye(3) - unit[:, :, None] * unit[:, None, :])
+        curved = (self.weights[stands] / size)[:, None, None] * (np.eye(width) - unit[:, :, None] * unit[:, None, :])
         for group, block in enumerate(curved):
-            hessian[3 * group : 3 * group + 3, 3 * group : 3 * group + 3] += block
+            own = slice(width * group, width * group + width)
+            hessian[own, own] += block
         slope = state.gradient[stands] + self.weights[stands, None] * unit
         hessian[np.diag_indices_from(hessian)] *= 1 + 1e-14
         try:
-            delta = -cho_solve(cho_factor(hessian), slope.ravel()).reshape(-1, 3)
+            delta = -cho_solve(cho_factor(hessian), slope.ravel()).reshape(-1, width)
         except LinAlgError:
-            delta = -np.linalg.lstsq(hessian, slope.ravel(), rcond=1e-14)[0].reshape(-1, 3)
+            delta = -np.linalg.lstsq(hessian, slope.ravel(), rcond=1e-14)[0].reshape(-1, width)
         descent = float(np.vdot(slope, delta))
         turned = np.einsum("ij,ij->i", unit, s + delta) <= 0
         length = 1.0
@@ -94,7 +99,7 @@ class _Restricted:
         enter = ~state.amplitudes.any(axis=1) & (size > self.weights * (1 + ACCURACY))
         if not enter.any():
             return None
-        diagonal = np.diag(self.quadratic).reshape(-1, 3).sum(axis=1)[enter]  # trace bounds the largest eigenvalue
+        diagonal = np.diag(self.quadratic).reshape(len(enter), -1).sum(axis=1)[enter]  # trace bounds the largest eigenvalue
         away = state.gradient[enter] / size[enter, None]
         raised = -away * ((size[enter] - self.weights[enter]) / (2 * diagonal))[:, None]
         length = 1.0
@@ -116,39 +121,39 @@ class _Restricted:
         return {"residual": state.residual}
 
 
-def solve_restricted(quadratic: Floats, linear: Floats, weights: Floats, start: Floats) -> Floats:
-    """Amplitudes (k, 3) of the restricted step from `start` (k, 3), exact zeros included.
+def solve_restricted(quadratic: Floats, linear: Floats, weights: Floats, start: Floats, reach: Reach = ANYTHING) -> Floats:
+    """Amplitudes (k, c) of the restricted step from `start` (k, c), exact zeros included.
 
     Newton alone where the start is near; else a small dense cone program says which groups stand and Newton finishes on
     those. What is not certified (by `certify`, on the whole step) goes back to the caller's loop.
     """
-    problem = _Restricted(quadratic, linear, weights)
-    near = iterate(problem, problem.state(start), WARM).state if start.any() else problem.state(start)
+    free = not reach.constrained and bool((weights > 0).all())
+    problem: Any = _Restricted(quadratic, linear, weights) if free else proximal(quadratic, linear, weights, reach)
+    near = problem.state(reach.project(start))
+    near = iterate(problem, near, WARM).state if start.any() else near
     if near.residual <= ENOUGH:
         return near.amplitudes
-    rough = problem.state(_small_cone_program(quadratic, linear, weights))
-    stands = np.linalg.norm(rough.gradient, axis=1) >= (1 - 1e-4) * weights
+    rough = problem.state(reach.project(_small_cone_program(quadratic, linear, weights, near.amplitudes, reach)))
+    stands = reach.pull(rough.gradient) >= (1 - 1e-4) * weights
     fine = iterate(problem, problem.state(np.where(stands[:, None], rough.amplitudes, 0.0)), LIMIT).state
     least = min(near.value, rough.value, fine.value)
     level = least + SAME * abs(least)
     return min((state for state in (near, rough, fine) if state.value <= level), key=lambda state: state.residual).amplitudes
 
 
-def _small_cone_program(quadratic: Floats, linear: Floats, weights: Floats) -> Floats:
-    """The restricted step by Clarabel: s and one bound t_g >= |s_g| a group."""
-    groups = len(weights)
-    unit = float(np.trace(quadratic)) / len(quadratic)
+def _small_cone_program(quadratic: Floats, linear: Floats, weights: Floats, otherwise: Floats, reach: Reach) -> Floats:
+    """The restricted step by Clarabel, in units of its own; `otherwise` where that gives nothing."""
+    from relax.convex.cone import ConeProgram, clarabel_settings  # what finds its start near need not load it
+
+    count = len(quadratic)
+    unit = float(np.trace(quadratic)) / count
     size = float(np.abs(linear).max()) / unit  # amplitudes of order one
-    program = block_diag([csc_array(np.triu(2 * quadratic / unit)), csc_array((groups, groups))], format="csc")
-    row = 4 * np.arange(groups)
-    inside = (row[:, None] + np.arange(1, 4)).ravel()
-    place = coo_array(
-        (-np.ones(4 * groups), (np.concatenate([inside, row]), np.arange(4 * groups))), shape=(4 * groups, 4 * groups)
+    inner = replace(reach, largest=reach.largest / size)
+    upper = csc_array(np.triu(quadratic / unit))
+    program = ConeProgram(
+        upper, linear / (unit * size), csr_array(eye_array(count)), np.zeros(count), weights / (unit * size), inner
     )
-    linear = np.concatenate([2 * linear / (unit * size), weights / (unit * size)])
-    cones = [clarabel.SecondOrderConeT(4)] * groups
-    settings = clarabel.DefaultSettings()
-    settings.verbose = False
-    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-11
-    result = clarabel.DefaultSolver(csc_matrix(program), linear, csc_matrix(place), np.zeros(4 * groups), cones, settings).solve()
-    return size * np.asarray(result.x)[: 3 * groups].reshape(-1, 3)
+    try:
+        return size * program.solve(clarabel_settings(1e-11)).reshape(otherwise.shape)
+    except BackendError:
+        return otherwise

@@ -2,26 +2,34 @@
 
     min over s   s^T G s + 2 b^T s + sum_g c_g phi(|s_g|),     G (ck, ck) positive semidefinite, c components a group, k small
 
-Each reweighting replaces phi(|s|) by the parabola in |s| that touches it from above (phi(sqrt u) is concave in u), so it is one
-linear system, and the value falls. The problem has many local minima; large smoothing first, when all groups look alike, leads
-to good ones (MATHEMATICS.md, "Search").
+each s_g within what a support can do, where that is not anything.
+
+Each reweighting replaces phi(|s|) by the parabola in |s| that touches it from above (sparsity/surrogates.py), so it is one linear
+system, and the value falls. The problem has many local minima; large smoothing first, when all groups look alike, leads to good
+ones (MATHEMATICS.md, "Search").
 """
 
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg.lapack import dposv, dpotrf, dpotri
+from scipy.linalg.lapack import dpotrf, dpotri
 
-from relax.arrays import Floats, Ints
+from relax.arrays import Floats, Ints, Mask
+from relax.convex.fit import fit_within, solve_definite
 from relax.sparsity.penalties import Penalty
+from relax.sparsity.reach import ANYTHING, Reach
 from relax.sparsity.supports import sizes
+from relax.sparsity.surrogates import REWEIGHTED_L2, Continuation
 
-SHRINK = 0.6  # the smoothing from one reweighting to the next
-LEAST = 2e-4  # of the largest amplitude: where smoothing ends
 GONE = 1e-3  # of the largest amplitude: a group that the reweighting has emptied
 RIDGE = 1e-2  # of the mean curvature: what the first amplitudes are damped by, where none are given
+DECIDED = 1 / 6  # of the largest amplitude: while the smoothing is wider, less than that share of it still counts as something
+UNDECIDED = 0.05  # of the largest amplitude: while the smoothing is wider, a support that its reach holds at zero may come back
+ROUND_OFF = 1e-12  # of the mean curvature: what a matrix that is singular up to round-off is lifted by
 STILL = 1e-3  # relative change of every amplitude that a further reweighting is not worth
 SETTLING = 8  # reweightings on a support that was chosen; what digits they leave open Newton finds later
+
+GRADUAL = Continuation()
 
 
 @dataclass(frozen=True)
@@ -36,13 +44,16 @@ class Reweighted:
         b.
     penalty : Penalty
     costs : (k,)
-        c_g, the weight of phi for each group.
+        c_g, the weight of phi for each group; one with 0 stands whatever comes.
+    reach : Reach
+        Of every group.
     """
 
     quadratic: Floats
     linear: Floats
     penalty: Penalty
     costs: Floats
+    reach: Reach = ANYTHING
 
     def value(self, amplitudes: Floats) -> float:
         """The problem's value at amplitudes (k, c)."""
@@ -50,7 +61,7 @@ class Reweighted:
         smooth = flat @ (self.quadratic @ flat) + 2 * float(np.vdot(self.linear, amplitudes))
         return float(smooth + self.costs @ self.penalty.value(sizes(amplitudes)))
 
-    def continued(self) -> Floats:
+    def continued(self, continuation: Continuation = GRADUAL) -> Floats:
         """Amplitudes (k, c) from the damped least-squares fit, where nothing is few, the smoothing shrinking from its size on."""
         members = np.arange(len(self.costs))
         if not len(members):
@@ -58,33 +69,34 @@ class Reweighted:
         damping = RIDGE * np.trace(self.quadratic) / len(self.quadratic)
         s = self._fit(members, np.full(len(members), damping))
         largest = float(sizes(s).max(initial=0.0))
-        width = largest
-        while width > LEAST * largest:
-            s = self._fit(members, self._parabola(members, np.hypot(sizes(s), width)))
+        if largest == 0:
+            return self._whole(members, s)
+        for width in continuation.smoothings(largest):
+            s = self._fit(members, self._parabola(members, sizes(s), width), s)
             size = sizes(s)
-            width *= SHRINK
             # a group far below the smoothing is on its way to nothing; early on nothing is decided
-            stays = size > GONE * size.max(initial=0.0) * min(1.0, 0.1 * largest / width)
+            stays = self._stays(members, size > GONE * size.max(initial=0.0) * min(1.0, DECIDED * largest / width))
+            if self.reach.constrained and width > UNDECIDED * largest:
+                continue
             members, s = members[stays], s[stays]
         return self.settled(self._whole(members, s))
 
     def once(self, amplitudes: Floats) -> Floats:
         """One reweighting on the groups that stand in amplitudes (k, c): the lowest point of the parabolas that touch there."""
-        members = np.flatnonzero(sizes(amplitudes) > 0)
-        return self._whole(members, self._fit(members, self._parabola(members, sizes(amplitudes[members]))))
+        members, s = self._standing(amplitudes)
+        return self._whole(members, self._fit(members, self._parabola(members, sizes(s)), s))
 
     def settled(self, amplitudes: Floats) -> Floats:
         """The minimum near amplitudes (k, c) on the groups that stand there; groups that come to nothing leave."""
-        members = np.flatnonzero(sizes(amplitudes) > 0)
-        s = amplitudes[members]
+        members, s = self._standing(amplitudes)
         size = sizes(s)
         for _ in range(SETTLING):
             before = size
-            s = self._fit(members, self._parabola(members, before))
+            s = self._fit(members, self._parabola(members, before), s)
             size = sizes(s)
             if (np.abs(size - before) <= STILL * before).all():
                 break
-            stays = size > max(GONE * size.max(initial=0.0), self.penalty.resolution)
+            stays = self._stays(members, size > max(GONE * size.max(initial=0.0), self.penalty.resolution))
             members, s, size = members[stays], s[stays], size[stays]
         return self._whole(members, s)
 
@@ -93,30 +105,44 @@ class Reweighted:
 
         With all the others free to move, leaving out group g raises the touching parabolas from their minimum v by
         v_g^T ([A^-1]_gg)^-1 v_g, A their matrix, and saves phi(t) - t phi'(t) / 2, what the parabola counts for it at zero:
-        where that is more, the value falls for certain.
+        where that is more, the value falls for certain. Where their reach holds the others back it may not: then it is looked at.
         """
         s = self.settled(amplitudes)
         while True:
-            members = np.flatnonzero(sizes(s) > 0)
-            if not len(members):
+            members, standing = self._standing(s)
+            priced = np.flatnonzero(self.costs[members] > 0)
+            if not priced.size:
                 return s
             inverse = self._inverse(members, self._parabola(members, sizes(s[members])))
             width = s.shape[1]
-            own = inverse.reshape(len(members), width, len(members), width)[np.arange(len(members)), :, np.arange(len(members))]
-            lowest = -(inverse @ self.linear[members].ravel()).reshape(-1, width)
+            own = inverse.reshape(len(members), width, len(members), width)[priced, :, priced]
+            lowest = standing if self.reach.constrained else -(inverse @ self.linear[members].ravel()).reshape(-1, width)
+            lowest = lowest[priced]
             raised = np.einsum("gi,gi->g", lowest, np.linalg.solve(own, lowest[:, :, None])[:, :, 0])
-            size = sizes(s[members])
-            saved = self.costs[members] * (self.penalty.value(size) - 0.5 * size * self.penalty.slope(size))
+            size = sizes(standing[priced])
+            saved = self.costs[members[priced]] * self.penalty.value(size) - self._parabola(members[priced], size) * size**2
             worst = int(np.argmin(raised - saved))
             if raised[worst] >= saved[worst]:
                 return s
-            s = s.copy()
-            s[members[worst]] = 0.0
-            s = self.settled(s)
+            fewer = s.copy()
+            fewer[members[priced[worst]]] = 0.0
+            fewer = self.settled(fewer)
+            if self.reach.constrained and self.value(fewer) >= self.value(s):
+                return s
+            s = fewer
 
-    def _parabola(self, members: Ints, size: Floats) -> Floats:
-        """Coefficient of |s_g|^2 in the parabola that touches the penalty at `size`."""
-        return self.costs[members] * self.penalty.slope(size) / (2 * size)
+    def _standing(self, amplitudes: Floats) -> tuple[Ints, Floats]:
+        """Groups that carry a force or have no price, and their amplitudes."""
+        members = np.flatnonzero(self._stays(np.arange(len(self.costs)), sizes(amplitudes) > 0))
+        return members, amplitudes[members]
+
+    def _stays(self, members: Ints, chosen: Mask) -> Mask:
+        stays: Mask = chosen | (self.costs[members] == 0)
+        return stays
+
+    def _parabola(self, members: Ints, size: Floats, smoothing: float = 0.0) -> Floats:
+        """Coefficient of |s_g|^2 in the parabola that touches the smoothed penalty at `size`."""
+        return self.costs[members] * REWEIGHTED_L2.coefficient(self.penalty, size, smoothing)
 
     def _index(self, members: Ints) -> Ints:
         width = self.linear.shape[1]
@@ -129,20 +155,21 @@ class Reweighted:
         matrix[np.diag_indices_from(matrix)] += np.repeat(curvature, self.linear.shape[1])
         return matrix
 
-    def _fit(self, members: Ints, curvature: Floats) -> Floats:
-        """Minimiser (len(members), c) of the quadratic with curvature_g |s_g|^2 added."""
-        if not len(members):
-            return np.zeros((0, self.linear.shape[1]))
-        right = -self.linear[members].ravel()
-        _, found, failed = dposv(self._matrix(members, curvature), right)
-        if failed:  # columns that are parallel up to round-off
-            found = np.linalg.lstsq(self._matrix(members, curvature), right, rcond=1e-14)[0]
-        return found.reshape(len(members), -1)
+    def _fit(self, members: Ints, curvature: Floats, start: Floats | None = None) -> Floats:
+        """Minimiser (len(members), c) of the quadratic with curvature_g |s_g|^2 added; `start`: near it, perhaps."""
+        matrix, linear = self._matrix(members, curvature), self.linear[members]
+        if self.reach.constrained:
+            return fit_within(self.reach, matrix, linear, start)
+        return solve_definite(matrix, -linear.ravel()).reshape(linear.shape)
 
     def _inverse(self, members: Ints, curvature: Floats) -> Floats:
-        factor, failed = dpotrf(self._matrix(members, curvature))
+        matrix = self._matrix(members, curvature)
+        factor, failed = dpotrf(matrix)
+        if failed:  # columns that are parallel up to round-off, under a penalty that no longer bends
+            matrix[np.diag_indices_from(matrix)] += ROUND_OFF * max(np.trace(matrix) / len(matrix), np.finfo(float).tiny)
+            factor, failed = dpotrf(matrix)
         if failed:
-            return np.asarray(np.linalg.pinv(self._matrix(members, curvature), rcond=1e-15, hermitian=True), dtype=float)
+            return np.eye(len(matrix)) / np.diag(matrix)
         upper, _ = dpotri(factor)
         inverse: Floats = np.triu(upper) + np.triu(upper, 1).T
         return inverse

@@ -1,9 +1,10 @@
 """The convex step as data, and its certificate: what any back-end's answer is worth, computed from the data alone.
 
-    min over d, s   (d + r)^T M (d + r) + sum_g w_g |s_g|     s.t.   K d = h + B s,   s_g in C,   |s_g| <= F
+    min over d, s   (d + r)^T M (d + r) + sum_g w_g |s_g| + sum_g b_g |s_g|^2     s.t.   K d = h + B s,   s_g in C,   |s_g| <= F
 
 K is the stiffness, h = f + g what is unbalanced without supports, r = x - xhat, B the supports' basis, c amplitudes a group;
-C and F are what a support can do, mostly anything (MATHEMATICS.md, "One convex step"). Nothing here knows of membranes.
+C and F are what a support can do, mostly anything, and b is mostly 0 (MATHEMATICS.md, "One convex step"). Nothing here knows
+of membranes.
 """
 
 from dataclasses import dataclass, replace
@@ -15,7 +16,13 @@ from scipy.sparse import csc_array
 from relax.arrays import Floats, Ints, Mask, lock_arrays
 from relax.errors import BackendError
 from relax.factor import Factor
-from relax.sparsity.reach import ANYTHING, Reach
+from relax.sparsity.reach import ANYTHING, UPWARD, Reach
+from relax.sparsity.supports import sizes
+
+ROUND_OFF = 1e-12  # of the largest possible pull: what counts as none where any would void the bound
+SINGULAR = 1e-14  # of the largest eigenvalue: directions that the metric does not see
+NEARLY = 1 - 1e-3  # of the largest force: an interior point stops short of it; whichever side a group is on, the bound holds
+HALVINGS = 60  # of an interval of order one, down to round-off
 
 
 @dataclass(frozen=True)
@@ -36,7 +43,9 @@ class Subproblem:
     weights : (m,)
         w, 0 or above: at 0 a support is free.
     reach : Reach
-        C and F of every group; its axes are those of `rows`.
+        C and F of every group; as many axes as `rows` has columns.
+    curvature : (m,) or None
+        b, 0 or above: with weights of 0 the step is one of reweighted least squares (IRLS); None: 0 everywhere.
     """
 
     factor: Factor
@@ -46,6 +55,7 @@ class Subproblem:
     rows: Ints
     weights: Floats
     reach: Reach = ANYTHING
+    curvature: Floats | None = None
 
     def __post_init__(self) -> None:
         lock_arrays(self)
@@ -53,6 +63,30 @@ class Subproblem:
     @property
     def stiffness(self) -> csc_array:
         return self.factor.matrix
+
+    @property
+    def nothing(self) -> Floats:
+        """Amplitudes (m, c) of no support."""
+        return np.zeros(self.rows.shape)
+
+    @cached_property
+    def bends(self) -> Floats:
+        """The curvature (m,) as numbers."""
+        return np.zeros(len(self.weights)) if self.curvature is None else self.curvature
+
+    @cached_property
+    def kept(self) -> Ints:
+        """Groups that cost nothing and so always stand, (k,)."""
+        return np.flatnonzero((self.weights == 0) & (self.bends == 0))
+
+    @cached_property
+    def kept_columns(self) -> "KeptColumns":
+        columns = self.factor.inverse_columns(self.rows[self.kept].ravel())
+        metric_columns = self.metric @ columns
+        squares = columns.T @ metric_columns
+        inverse = np.linalg.pinv(2 * squares, rcond=SINGULAR, hermitian=True)
+        lengths = np.sqrt(np.maximum(np.diag(squares), 0.0).reshape(len(self.kept), -1).sum(axis=1))
+        return KeptColumns(columns, metric_columns, inverse, lengths)
 
     @property
     def basis(self) -> csc_array:
@@ -98,8 +132,45 @@ class Subproblem:
             self.rows,
             self.weights * (force / length**2),
             replace(self.reach, largest=self.reach.largest / force),
+            None if self.curvature is None else self.curvature * (force / length) ** 2,
         )
         return inner, force
+
+    def components(self) -> "Subproblem":
+        """The step with the sum of w_g |s_g|_1 in place of the norms: each component is a group of its own, amplitudes (cm, 1).
+
+        Raises
+        ------
+        BackendError
+            A cone or a largest force ties the components of a group to each other.
+        """
+        width = self.rows.shape[1]
+        if width == 1:
+            return self
+        if self.reach.constrained:
+            raise BackendError(
+                "a largest lean or force ties the components of a support to each other, so the step cannot be taken component "
+                "by component: drop it, or let the supports act along one axis"
+            )
+        curvature = None if self.curvature is None else np.repeat(self.curvature, width)
+        single = Reach((UPWARD,))  # one axis, whichever it is
+        return replace(
+            self, rows=self.rows.reshape(-1, 1), weights=np.repeat(self.weights, width), reach=single, curvature=curvature
+        )
+
+
+@dataclass(frozen=True)
+class KeptColumns:
+    """What the groups that cost nothing can do: A = K^-1 B (3n, ck) on them, M A, and the inverse of 2 A^T M A."""
+
+    columns: Floats
+    metric_columns: Floats
+    inverse: Floats
+    lengths: Floats  # |A_g| in M, (k,)
+
+    def largest_pull(self, distance: float) -> Floats:
+        """What |lam_g| could be at most at this E_dist, by Cauchy and Schwarz (k,)."""
+        return 2 * np.sqrt(max(distance, 0.0)) * self.lengths  # a metric blind to some of it: round-off may go below 0
 
 
 @dataclass(frozen=True)
@@ -146,17 +217,72 @@ class Solution:
 def certify(step: Subproblem, amplitudes: Floats, ran: str = "") -> Solution:
     """The certificate of any amplitudes (m, c): value and lower bound from the step's data and one factorisation.
 
-    The bound is c^T K lam - (K lam)^T M^+ (K lam) / 4 at lam scaled into the ball (MATHEMATICS.md), where K lam = 2 M (d + r).
+    What no support can do is moved to the nearest that one can. The bound is that of MATHEMATICS.md, "Certificate", at the dual
+    point theta lam with the best theta. A group that costs nothing allows no other dual than one that does not pull it: the
+    displacement is first moved by those few columns of K^-1 to where it does not.
     """
+    amplitudes = step.reach.project(amplitudes)
     moved = step.unsupported + step.factor.solve(step.spread(amplitudes))  # d + r
     pulled = step.metric @ moved
     dual = 2 * step.factor.solve(pulled)[step.rows]
     distance = float(moved @ pulled)
-    value = distance + float(step.weights @ np.linalg.norm(amplitudes, axis=1))
-    size = np.linalg.norm(dual, axis=1)
-    outside = size > step.weights
-    shrink = float((step.weights[outside] / size[outside]).min()) if outside.any() else 1.0
-    cross = float(step.unsupported @ pulled)
-    shrink = min(shrink, max(cross / distance, 0.0)) if distance > 0 else shrink
-    bound = 2 * shrink * cross - shrink**2 * distance
-    return Solution(amplitudes, moved - step.offset, dual, value, bound, ran)
+    size = sizes(amplitudes)
+    value = distance + float(step.weights @ size) + float(step.bends @ size**2)
+    displacement, pull = moved - step.offset, step.reach.pull(dual)
+    if step.kept.size:
+        moved, pulled = _relieved(step, moved, pulled, size)
+        distance = float(moved @ pulled)
+        pull = step.reach.pull(2 * step.factor.solve(pulled)[step.rows])
+        pull[step.kept] *= pull[step.kept] > ROUND_OFF * step.kept_columns.largest_pull(distance)
+    bound = _best_bound(step, float(step.unsupported @ pulled), distance, pull)
+    return Solution(amplitudes, displacement, dual, value, bound, ran)
+
+
+def _relieved(step: Subproblem, moved: Floats, pulled: Floats, size: Floats) -> tuple[Floats, Floats]:
+    """The displacement nearest in M at which no kept group is pulled, and M times it; those at their largest force may be pulled.
+
+    Adding A z with 2 A^T M A z = P_C(-lam) takes lam to the nearest dual that does not pull (Moreau), A the kept columns.
+    """
+    kept = step.kept_columns
+    held = size[step.kept] >= NEARLY * step.reach.largest
+    for _ in range(2):  # the second removes what round-off left of the first
+        away = step.reach.cone(-2 * (kept.columns.T @ pulled).reshape(len(held), -1))
+        away[held] = 0.0
+        change = kept.inverse @ away.ravel()
+        moved, pulled = moved + kept.columns @ change, pulled + kept.metric_columns @ change
+    return moved, pulled
+
+
+def _best_bound(step: Subproblem, cross: float, distance: float, pull: Floats) -> float:
+    """The largest of 2 theta cross - theta^2 distance - what a force could gain on theta pull, over theta >= 0."""
+    if distance <= 0 or cross <= 0:
+        return 0.0
+    weights, bends, largest = step.weights, step.bends, step.reach.largest
+    theta = cross / distance
+    outside = theta * pull > weights
+    bounded = bends > 0 if np.isinf(largest) else np.ones_like(outside)
+    hard = outside & ~bounded
+    if hard.any():
+        theta = min(theta, float((weights[hard] / pull[hard]).min()))
+    soft = outside & bounded
+    if not soft.any():
+        return theta * (2 * cross - theta * distance)
+    weights, bends, pull = weights[soft], bends[soft], pull[soft]
+
+    def force(theta: float) -> tuple[Floats, Floats]:
+        """What is left of the pull, and the force that gains most by it."""
+        left = np.maximum(theta * pull - weights, 0.0)
+        best = np.divide(left, 2 * bends, out=np.where(left > 0, largest, 0.0), where=bends > 0)
+        return left, np.minimum(best, largest)
+
+    def falls(theta: float) -> bool:
+        return bool(cross - theta * distance < pull @ force(theta)[1] / 2)
+
+    if falls(theta):
+        low, high = 0.0, theta
+        for _ in range(HALVINGS):
+            theta = (low + high) / 2
+            low, high = (low, theta) if falls(theta) else (theta, high)
+        theta = low  # beyond, round-off would count times the largest force
+    left, best = force(theta)
+    return theta * (2 * cross - theta * distance) - float(best @ (left - bends * best))

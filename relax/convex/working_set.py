@@ -1,6 +1,7 @@
 """The convex step on a working set: only candidates that matter get their columns of K^-1 (MATHEMATICS.md, "One convex step").
 
-Candidates whose dual leaves the ball enter, the duality gap of the whole step says when to stop.
+Groups that cost nothing are in it from the start, candidates that pull harder than their weight enter, and the duality gap of
+the whole step says when to stop.
 """
 
 from dataclasses import dataclass, replace
@@ -11,6 +12,7 @@ from relax.arrays import Floats, Ints
 from relax.convex.restricted import solve_restricted
 from relax.convex.subproblem import Solution, Subproblem, certify
 from relax.iterate import Stop, iterate
+from relax.sparsity.supports import sizes
 
 GAP = 1e-10
 FIRST = 8  # candidates that enter at least, a round; more enter as the set grows
@@ -23,7 +25,7 @@ NOTHING = 1e-6  # this share of the largest: a planted target carries round-off 
 class _State:
     solution: Solution
     members: Ints
-    columns: Floats  # (3n, 3k): K^-1 B of the members
+    columns: Floats  # (3n, ck): K^-1 B of the members
     quadratic: Floats
     grown: bool = True
 
@@ -35,12 +37,13 @@ class _WorkingSet:
     gap: float
 
     def begin(self, amplitudes: Floats) -> _State:
-        nothing = certify(self.subproblem, 0 * amplitudes)
-        empty = _State(nothing, np.zeros(0, dtype=np.int64), np.zeros((len(self.subproblem.offset), 0)), np.zeros((0, 0)))
-        size = np.linalg.norm(amplitudes, axis=1)
+        step = self.subproblem
+        nothing = certify(step, step.nothing)
+        empty = _State(nothing, np.zeros(0, dtype=np.int64), np.zeros((len(step.offset), 0)), np.zeros((0, 0)))
+        size = sizes(amplitudes)
         # a hint only: what is left out comes back by its dual if it matters
         largest = np.argsort(-size)[:WARM]
-        warm = np.sort(largest[size[largest] > NOTHING * size.max()])
+        warm = np.union1d(largest[size[largest] > NOTHING * size.max()], step.kept)
         return self._solved(self._enlarged(empty, warm), amplitudes) if warm.size else empty
 
     def _enlarged(self, state: _State, entering: Ints) -> _State:
@@ -52,16 +55,21 @@ class _WorkingSet:
     def _solved(self, state: _State, amplitudes: Floats) -> _State:
         step = self.subproblem
         linear = state.columns.T @ (step.metric @ step.unsupported)
-        inner = solve_restricted(state.quadratic, linear, step.weights[state.members], amplitudes[state.members])
-        whole = np.zeros_like(amplitudes)
+        quadratic = state.quadratic
+        if step.curvature is not None:
+            quadratic = quadratic + np.diag(np.repeat(step.curvature[state.members], amplitudes.shape[1]))
+        weights, start = step.weights[state.members], amplitudes[state.members]
+        inner = solve_restricted(quadratic, linear, weights, start, step.reach)
+        whole = step.nothing
         whole[state.members] = inner
         return replace(state, solution=certify(step, whole, "working set"))
 
     def step(self, state: _State) -> _State:
-        size = np.linalg.norm(state.solution.dual, axis=1) / self.subproblem.weights
-        size[state.members] = 0.0
-        worst = np.argsort(-size)[: max(FIRST, len(state.members) // 2)]
-        entering = worst[size[worst] > 1.0]
+        pull, weights = self.subproblem.reach.pull(state.solution.dual), self.subproblem.weights
+        excess = np.divide(pull, weights, out=np.where(pull > 0, np.inf, 0.0), where=weights > 0)
+        excess[state.members] = 0.0
+        worst = np.argsort(-excess)[: max(FIRST, len(state.members) // 2)]
+        entering = worst[excess[worst] > 1.0]
         if not entering.size:
             return replace(state, grown=False)
         return self._solved(self._enlarged(state, entering), state.solution.amplitudes)
@@ -83,7 +91,7 @@ def solve_on_working_set(step: Subproblem, start: Floats, largest: int, gap: flo
     Parameters
     ----------
     step : Subproblem
-    start : (m, 3) newtons
+    start : (m, c) newtons
         Groups that carry a force here are in the first working set.
     largest : int
         When more candidates than this matter the round ends and the full cone program should take over.

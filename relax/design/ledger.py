@@ -10,7 +10,7 @@ from relax.design.trace import Journal, Tally
 
 def sentences(problem: Problem, journal: Journal, factorizations: int) -> tuple[str, ...]:
     """What was skipped in a run that spent so many factorisations, each thing once."""
-    found = [*journal.skipped, _fixed(problem), _candidates(journal.tally)]
+    found = [*journal.skipped, _fixed(problem), _candidates(journal.tally), _sideways(problem, journal.tally)]
     if problem.membrane.linear:
         found.append("all factorisations of K but one: it is the same at every shape, and x, y and z share a scalar one")
     else:
@@ -27,6 +27,11 @@ def _fixed(problem: Problem) -> str:
 def _candidates(tally: Tally) -> str:
     left, count = int((~tally.looked).sum()), len(tally.looked)
     return f"columns of K^-1 for {left:,} of {count:,} candidates: they were never looked at" if left else ""
+
+
+def _sideways(problem: Problem, tally: Tally) -> str:
+    spared = (3 - problem.supports.width) * int(tally.looked.sum())
+    return f"{spared:,} columns of K^-1: supports are vertical, so each candidate needs one, not three" if spared else ""
 
 
 def _factorisations(tally: Tally) -> str:

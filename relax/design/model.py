@@ -28,17 +28,17 @@ class Model:
         Of K at or near the shape.
     curvature : (3n, 3n) sparse
         M - T/2, or M alone.
-    origin : (m, 3) newtons
+    origin : (m, c) newtons
         s0 of all candidates; zero off the members.
     distance : float
         E0, square metres.
-    dual : (m, 3)
+    dual : (m, c)
         lam at s0.
     members : (k,) int
         Candidates in the model.
-    columns : (3n, 3k)
+    columns : (3n, ck)
         C.
-    quadratic : (3k, 3k)
+    quadratic : (ck, ck)
         Q.
     """
 
@@ -79,7 +79,7 @@ class Model:
         start = self.origin[self.members]
         linear = self.dual[self.members] / 2 - (quadratic @ start.ravel()).reshape(start.shape)
         costs = self.problem.strength * self.problem.supports.weights[self.members]
-        return Reweighted(quadratic, linear, self.problem.penalty, costs)
+        return Reweighted(quadratic, linear, self.problem.penalty, costs, self.problem.supports.reach)
 
     @cached_property
     def _constant(self) -> float:
@@ -88,18 +88,18 @@ class Model:
         return self.distance - float(np.vdot(self.dual[self.members], start)) + quadratic
 
     def value(self, s: Floats) -> float:
-        """The model's E_dist + R at the members' forces (k, 3)."""
+        """The model's E_dist + R at the members' forces (k, c)."""
         return self.small.value(s) + self._constant
 
     def dual_at(self, s: Floats) -> Floats:
-        """The model's dual (m, 3) at the members' forces (k, 3): what a further force at each candidate would gain."""
+        """The model's dual (m, c) at the members' forces (k, c): what a further force at each candidate would gain."""
         moved = self.curvature @ (self.columns @ (s - self.origin[self.members]).ravel())
         turned = self.factor.solve(2 * moved).reshape(-1, 3)
         dual: Floats = self.dual + self.problem.supports.duals(turned)
         return dual
 
     def whole(self, s: Floats) -> Floats:
-        """The members' forces (k, 3) among those of all candidates (m, 3)."""
+        """The members' forces (k, c) among those of all candidates (m, c)."""
         amplitudes = np.zeros_like(self.origin)
         amplitudes[self.members] = s
         return amplitudes

@@ -11,18 +11,21 @@ import numpy as np
 from relax.arrays import Floats
 from relax.design.problem import Problem
 from relax.factor import Factor
+from relax.sparsity.faces import projected_gradient
+from relax.sparsity.penalties import steepest
 from relax.sparsity.supports import sizes
 
 EQUILIBRIUM = 1e-10
 OFF_SUPPORT = 1 + 1e-6
+ROUND_OFF = 1e-9  # of a force: how far it may lie outside what a support can do
 
 
 @dataclass(frozen=True)
 class Certificate:
     """The figures of a result; lengths in metres, forces in newtons, the rest relative.
 
-    `stationarity` and `off_support` are None where the stiffness is singular, so that no dual exists. `warnings` are
-    sentences for a person.
+    `stationarity` and `off_support` are None where the stiffness is singular, so that no dual exists; `off_support` also where
+    the penalty jumps at zero, so that no small force ever pays. `warnings` are sentences for a person.
     """
 
     objective: float
@@ -53,7 +56,6 @@ def judge(problem: Problem, positions: Floats, forces: Floats, refit: str = "pen
     membrane, supports = problem.membrane, problem.supports
     nodal = forces[membrane.free]
     amplitudes = supports.amplitudes(nodal)
-    stands = amplitudes.any(axis=1)
     distance, sparsity = problem.distance(positions), problem.sparsity(amplitudes)
     tension = membrane.tension(positions)
     length = membrane.edge_state(positions).length
@@ -61,14 +63,14 @@ def judge(problem: Problem, positions: Floats, forces: Floats, refit: str = "pen
     equilibrium = _equilibrium(problem, positions, nodal, tension)
     stationarity, off_support = _optimality(problem, positions, amplitudes, factor, refit)
     slack = _slack_share(problem, length)
-    met = _constraints_met(problem, positions, forces)
+    unmet = _unmet_constraints(problem, positions, forces)
     stable = factor.positive_definite
     return Certificate(
         objective=distance + sparsity,
         distance=distance,
         penalty=sparsity,
         rms_distance=float(np.sqrt(np.mean(np.sum(problem.offset(positions) ** 2, axis=1)))),
-        supports=int(stands.sum()),
+        supports=int(amplitudes.any(axis=1).sum()),
         equilibrium=equilibrium,
         stationarity=stationarity,
         off_support=off_support,
@@ -79,13 +81,12 @@ def judge(problem: Problem, positions: Floats, forces: Floats, refit: str = "pen
         converged=(
             equilibrium <= EQUILIBRIUM
             and stationarity is not None
-            and off_support is not None
             and stationarity <= problem.scene.settings["solver"]["tolerance"]
-            and off_support <= OFF_SUPPORT
+            and (off_support is None or off_support <= OFF_SUPPORT)
             and stable
-            and met
+            and not unmet
         ),
-        warnings=tuple(_warnings(slack, stable=stable, met=met)),
+        warnings=(*_warnings(slack, stable=stable), *unmet),
     )
 
 
@@ -103,19 +104,24 @@ def _optimality(
     """Stationarity over the groups that stand, and off_support over the others (MATHEMATICS.md, "The judge")."""
     if factor.singular:
         return None, None
-    dual = problem.supports.duals(problem.dual(positions, factor))
+    supports = problem.supports
+    dual = supports.duals(problem.dual(positions, factor))
     size = sizes(amplitudes)
-    stands = size > 0
-    weights = problem.strength * problem.supports.weights
+    stands = problem.standing(amplitudes)
     stationarity = 0.0
     if stands.any():
-        slope = weights[stands] * problem.penalty.slope(size[stands])
+        standing, length = amplitudes[stands], size[stands]
+        slope = problem.strength * supports.weights[stands] * problem.penalty.slope(length)
         if refit == "debiased":
             slope = 0.0 * slope
-        gradient = dual[stands] + (slope / size[stands])[:, None] * amplitudes[stands]
-        stationarity = float(sizes(gradient).max()) / problem.slope_scale(amplitudes)
-    allowed = weights * problem.penalty.weight(np.zeros_like(size))
-    off_support = float((sizes(dual)[~stands] / allowed[~stands]).max(initial=0.0))
+        gradient = dual[stands] + (slope / np.where(length > 0, length, 1.0))[:, None] * standing
+        scale = problem.slope_scale(amplitudes)
+        left = projected_gradient(supports.reach, standing, gradient, problem.step_lengths(standing, scale))
+        stationarity = float(sizes(left).max()) / scale
+    if not np.isfinite(steepest(problem.penalty)):
+        return stationarity, None
+    allowed = problem.group_weights(supports.none)
+    off_support = float((sizes(problem.pulls(dual))[~stands] / allowed[~stands]).max(initial=0.0))
     return stationarity, off_support
 
 
@@ -126,13 +132,25 @@ def _slack_share(problem: Problem, length: Floats) -> float:
     return float(np.mean(length < problem.membrane.rest_length))
 
 
-def _constraints_met(problem: Problem, positions: Floats, forces: Floats) -> bool:
-    """Whether supports stand at candidates only, and the fixed vertices where they are fixed."""
-    scene = problem.scene
-    return not forces[~scene.candidates].any() and np.array_equal(positions[scene.fixed], scene.start[scene.fixed])
+def _unmet_constraints(problem: Problem, positions: Floats, forces: Floats) -> list[str]:
+    """A sentence on each thing that the scene asks for and the result does not keep."""
+    scene, supports = problem.scene, problem.supports
+    said = []
+    if forces[~scene.candidates].any() or not np.array_equal(positions[scene.fixed], scene.start[scene.fixed]):
+        said.append("a support stands where the scene allows none, or a fixed vertex is not in its place")
+    amplitudes = supports.amplitudes(forces[problem.membrane.free])
+    beyond = problem.all_forces(supports.reach.project(amplitudes)) - forces
+    bad = np.flatnonzero(sizes(beyond) > ROUND_OFF * sizes(forces))
+    bad = bad[scene.candidates[bad]]
+    if bad.size:
+        said.append(
+            f"the support at vertex {bad[0]} acts in a direction or with a force that the scene's supports.direction and "
+            "supports.max_force do not allow"
+        )
+    return said
 
 
-def _warnings(slack: float, *, stable: bool, met: bool) -> list[str]:
+def _warnings(slack: float, *, stable: bool) -> list[str]:
     said = []
     if slack > 0:
         said.append(
@@ -141,6 +159,4 @@ def _warnings(slack: float, *, stable: bool, met: bool) -> list[str]:
         )
     if not stable:
         said.append("the shape does not stand: its stiffness is not positive definite, the membrane would leave it")
-    if not met:
-        said.append("a support stands where the scene allows none, or a fixed vertex is not in its place")
     return said

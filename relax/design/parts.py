@@ -51,7 +51,7 @@ def split(problem: Problem) -> tuple[Part, ...]:
 def assembled(problem: Problem, parts: Sequence[Part], shapes: Sequence[Shape]) -> Shape:
     """The whole membrane with each part in its shape."""
     positions = problem.scene.start.copy()
-    amplitudes = np.zeros((len(problem.supports.vertices), 3))
+    amplitudes = problem.supports.none.copy()
     for part, shape in zip(parts, shapes, strict=True):
         free = part.problem.membrane.free
         positions[part.vertices[free]] = shape.positions[free]

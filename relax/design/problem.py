@@ -47,7 +47,7 @@ class Problem:
     def __post_init__(self) -> None:
         said = self.scene.settings["penalty"]
         if self.penalty is None:
-            object.__setattr__(self, "penalty", make_penalty(said["name"], said.get("exponent"), said.get("smoothing")))
+            object.__setattr__(self, "penalty", make_penalty(said))
         if self.weight is None and said.get("weight") is not None:
             object.__setattr__(self, "weight", float(said["weight"]))
         if self.weight is not None and not (np.isfinite(self.weight) and self.weight > 0):
@@ -68,6 +68,10 @@ class Problem:
         said = self.scene.settings["supports"]
         reach = reach_of(said["direction"], said["max_force"])
         return Supports(candidates, self.scene.support_weight[free][candidates], len(free), reach)
+
+    def pulls(self, dual: Floats) -> Floats:
+        """P_C(-lam) (m, c): how a first support would act at each candidate; |P_C(-lam_g)| is what a unit of it gains."""
+        return self.supports.reach.cone(-dual)
 
     def standing(self, amplitudes: Floats) -> Mask:
         """Which groups carry a force, or stand whatever comes (m,)."""
@@ -133,7 +137,14 @@ class Problem:
         if not stands.any():
             return 1.0
         scale = float((self.group_costs(size)[stands] / size[stands]).max())
+        if scale == 0:  # only supports without a price stand: as if they had that of others
+            scale = float((self.strength * self.penalty.value(size[stands]) / size[stands]).max())
         return scale or float(np.finfo(float).tiny)
+
+    def step_lengths(self, amplitudes: Floats, scale: float) -> Floats:
+        """Tau = |s_g| / sigma of each group (k,), by which a projected gradient is measured; of its largest where s_g is 0."""
+        size = sizes(amplitudes)
+        return np.where(size > 0, size, size.max(initial=0.0) or 1.0) / scale
 
     def objective(self, positions: Floats, amplitudes: Floats) -> float:
         """E_dist + R; it means something at equilibrium only."""
@@ -141,7 +152,9 @@ class Problem:
 
     def group_weights(self, amplitudes: Floats) -> Floats:
         """Reweighting weights w_g = k_sparse c_g w(|s_g|), (m,)."""
-        return self.strength * self.supports.weights * self.penalty.weight(sizes(amplitudes))
+        costs, slopes = self.strength * self.supports.weights, self.penalty.weight(sizes(amplitudes))
+        # a support that costs nothing has no slope, though a counting penalty's is infinite at zero
+        return np.multiply(costs, slopes, out=np.zeros_like(costs), where=costs > 0)
 
     def factor_at(self, positions: Floats) -> Factor:
         """A factorisation of K at `positions`."""

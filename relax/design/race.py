@@ -1,30 +1,23 @@
-"""The race of starts: convex steps and rounding from each, until two agree; the judge ranks what they came to."""
+"""The race of starts: a method's steps from each, until two agree; the judge ranks what they came to."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
-from relax.convex.backends import BACKENDS, Backend
 from relax.design.methods import Method
+from relax.design.methods.sequential import Sequential
 from relax.design.optimality import EQUILIBRIUM, Certificate, judge
 from relax.design.problem import Problem
 from relax.design.refit import Shape, refit
-from relax.design.rounding import round_supports, seated
 from relax.design.search import Search
-from relax.design.sequential import SequentialConvex
-from relax.design.starts import Start, at_target, choose_starts, heavy_starts, is_planted, tells_sizes
-from relax.design.symmetric import symmetric_problem
+from relax.design.starts import Start, at_target, choose_starts, heavy_starts, is_planted
+from relax.design.symmetric import SymmetricProblem, symmetric_problem
 from relax.design.trace import Journal
 from relax.errors import EquilibriumError
-from relax.iterate import Algorithm, iterate
 
-STEPS = 60  # convex steps a sequence; those seen to converge took 3 to 25
-HEAVY_STEPS = 2  # under the first, heavy weights: enough to know where the few masts stand
 CLEARLY = 1e-6  # relative: an unfinished step must be this much lower to be preferred to a finished start
 SAME = 1e-8  # relative difference of objectives that are one
-ROUNDS = 8  # of convex steps and rounding, while the certificate names candidates that are missing; 1 to 4 were seen to do
 
 
 @dataclass(frozen=True)
@@ -52,33 +45,23 @@ class Found:
     interrupted: bool
 
 
-@dataclass(frozen=True)
-class Tools:
-    """What a run works with: its journal, who solves its convex steps and which method leads it where somebody was named."""
-
-    journal: Journal
-    backend: Backend | None = None  # None: what is fastest
-    method: Method | None = None  # None: sequential
-
-
-def best_of(problem: Problem, starts: list[Start] | None, tools: Tools) -> Found:
+def best_of(problem: Problem, starts: list[Start] | None, method: Method, journal: Journal) -> Found:
     """The best that the starts lead to (None: symmetry, or those that the scene asks for), or of what an interrupt left."""
-    journal = tools.journal
     outcomes: list[Outcome] = []
     spent, interrupted = 0, False
     try:
         if starts is None:
-            outcomes += _by_symmetry(problem, tools)
+            outcomes += _by_symmetry(problem, method, journal)
             settled = bool(outcomes) and outcomes[-1].certificate.converged
             starts = [] if settled else choose_starts(problem, None, journal.skipped)
-        if tools.method is not None:
+        if not isinstance(method, Sequential):
             starts = starts[:1]  # first weights, in which heavy starts differ, mean nothing to other methods
         for begin in starts:
             if _agree(outcomes):
                 journal.skipped.append(f"start {begin.name}: two starts ended at the same supports")
                 break
-            outcomes.append(_run(problem, begin, tools))
-            if tools.method is None and begin.name == "pulled" and not outcomes[-1].certificate.converged:
+            outcomes.append(_run(problem, begin, method, journal))
+            if isinstance(method, Sequential) and begin.name == "pulled" and not outcomes[-1].certificate.converged:
                 starts += _others(problem, nothing=outcomes[-1].shape is begin.shape)
         best = outcomes[0] if len(outcomes) == 1 else min(outcomes, key=_rank)
         if last_refit(problem) == "debiased":
@@ -95,42 +78,60 @@ def best_of(problem: Problem, starts: list[Start] | None, tools: Tools) -> Found
     return Found(best, spent, interrupted)
 
 
-def _by_symmetry(problem: Problem, tools: Tools) -> list[Outcome]:
+def _by_symmetry(problem: Problem, method: Method, journal: Journal) -> list[Outcome]:
     """What the symmetry of a problem leads to, judged as any other outcome; nothing where there is none.
 
     The search sees one vertex of each orbit first. Then the whole problem is searched from where that ended, since an answer that
-    is not symmetric can be better; where few supports hold the target as it is, a look at those supports is enough.
+    is not symmetric can be better; where few supports hold the target as it is, a look at those supports is enough. Where the
+    first step of the whole search undercuts the symmetric answer, that search is followed to its end too.
     """
-    searches = tools.method is None and isinstance(_method(problem, tools), Search)
-    if not searches or problem.scene.settings["solver"]["start"] == "heavy":
-        return []
-    reduced = symmetric_problem(problem)
+    searches = isinstance(method, Sequential) and method.searches(problem)
+    reduced = symmetric_problem(problem) if searches and problem.scene.settings["solver"]["start"] != "heavy" else None
     if reduced is None:
         return []
-    journal, said = tools.journal, list[str]()
-    try:
-        start = choose_starts(reduced, None, said)[0]
-        if start.weight is not None:
-            return []
-        journal.lift = reduced.whole
-        found, rough = (reduced.whole(shape) for shape in _steps_and_rounding(reduced, start, tools))
-    except EquilibriumError:
-        return []
-    finally:
-        journal.lift = None
+    said = list[str]()
+    found = _symmetric_answer(reduced, method, journal, said)
+    if found is None or not problem.standing(found.shape.amplitudes).any():
+        return []  # an orbit of supports may not pay where one of them does
     parts = f"{reduced.symmetry.order - 1} of {reduced.symmetry.order} parts of the membrane: it has {reduced.symmetry}"
-    if is_planted(reduced, start.shape):
-        outcome = Outcome(problem, found, rough)
-        standing = reduced.one_of_each(np.flatnonzero(problem.standing(found.amplitudes)))
-        if outcome.certificate.converged and Search(problem).confirms(found, standing):
+    if said:  # planted: nothing needs to be searched for elsewhere
+        standing = reduced.one_of_each(np.flatnonzero(problem.standing(found.shape.amplitudes)))
+        if found.certificate.converged and Search(problem).confirms(found.shape, standing):
             journal.skipped += [*said, parts]
-            return [outcome]
-    outcome = _run(problem, Start("symmetric", found), tools)
-    same = np.array_equal(problem.standing(outcome.shape.amplitudes), problem.standing(found.amplitudes))
+            return [found]
+    doubtful = _first_step(problem) < _objective(problem, found.shape)
+    outcome = _run(problem, Start("symmetric", found.shape), method, journal)
+    same = np.array_equal(problem.standing(outcome.shape.amplitudes), problem.standing(found.shape.amplitudes))
     if outcome.certificate.converged:
         what = "found nothing better" if same else "went on from there"
         journal.skipped.append(f"{parts}, and the search of the whole {what}")
-    return [outcome]
+    return [outcome, *(_run(problem, start, method, journal) for start in choose_starts(problem, None, [])[:doubtful])]
+
+
+def _symmetric_answer(reduced: SymmetricProblem, method: Method, journal: Journal, said: list[str]) -> Outcome | None:
+    """What one vertex of each orbit leads to, as an outcome of the whole; `said` tells whether few supports hold the target."""
+    try:
+        start = choose_starts(reduced, None, said)[0]
+        if start.weight is not None:
+            return None
+        journal.lift = reduced.whole
+        shape, rough = (reduced.whole(shape) for shape in method(reduced, start, journal))
+    except EquilibriumError:
+        return None
+    finally:
+        journal.lift = None
+    if not is_planted(reduced, start.shape):
+        said.clear()
+    return Outcome(reduced.original, shape, rough)
+
+
+def _first_step(problem: Problem) -> float:
+    """The objective after one step of the whole search from its own start."""
+    search = Search(problem)
+    try:
+        return search.step(search.begin(choose_starts(problem, None, [])[0].shape)).objective
+    except EquilibriumError:
+        return np.inf
 
 
 def last_refit(problem: Problem) -> str:
@@ -148,20 +149,17 @@ def _others(problem: Problem, *, nothing: bool) -> list[Start]:
         return starts
 
 
-def _run(problem: Problem, start: Start, tools: Tools) -> Outcome:
+def _run(problem: Problem, start: Start, method: Method, journal: Journal) -> Outcome:
     """A method's steps and rounding from one start; a membrane that no longer stands ends them with what was reached."""
     trouble = ""
-    journal = tools.journal
+    journal.stage = f"start {start.name}"
     journal.first = len(journal.shapes)
     try:
-        if tools.method is None:
-            shape, unrounded = _steps_and_rounding(problem, start, tools)
-        else:
-            journal.stage = f"start {start.name}"
-            shape, unrounded = tools.method(problem, start, journal)
+        shape, unrounded = method(problem, start, journal)
     except EquilibriumError as error:
         trouble = str(error)
-        shape = unrounded = journal.shapes[-1] if len(journal.shapes) > journal.first else start.shape
+        lowest = min(range(journal.first, len(journal.shapes)), key=journal.objective.__getitem__, default=None)
+        shape = unrounded = start.shape if lowest is None else journal.shapes[lowest]
     return Outcome(problem, shape, unrounded, trouble=trouble or journal.failure)
 
 
@@ -169,62 +167,6 @@ def _rank(outcome: Outcome) -> tuple[bool, bool, float]:
     """What makes an outcome the better one: converged, at rest, then the objective (which means nothing off equilibrium)."""
     said = outcome.certificate
     return not said.converged, said.equilibrium > EQUILIBRIUM, said.objective
-
-
-def _steps_and_rounding(problem: Problem, start: Start, tools: Tools) -> tuple[Shape, Shape]:
-    """The rounded shape, and the one before the first rounding: until the certificate names no missing candidate."""
-    shape, journal = start.shape, tools.journal
-    if start.weight is not None:
-        constant = start.weight * problem.supports.weights
-        journal.stage = f"start {start.name}, first weights"
-        rough = tools.backend or BACKENDS["quick"]
-        shape = _sequence(SequentialConvex(problem, lambda _: constant, rough), shape, HEAVY_STEPS, journal)
-    unrounded = best = None
-    keep = np.zeros(len(shape.amplitudes), dtype=bool)
-    method = _method(problem, tools)
-    tried: set[bytes] = set()
-    for _ in range(ROUNDS):
-        journal.stage = f"start {start.name}"
-        if len(keep):  # without candidates there is nothing to choose
-            shape = _sequence(method, shape, STEPS, journal)
-        if journal.failure and shape is start.shape:
-            return shape, shape  # forces almost everywhere, perhaps: there is nothing to round
-        unrounded = unrounded or shape
-        journal.stage = f"start {start.name}, rounding"
-        result = round_supports(problem, shape, keep, journal)
-        if result.missing.any() and problem.standing(result.shape.amplitudes).tobytes() in tried:
-            # the convex steps leave them out each time, since a reweighted norm is not R: let Newton on R try them
-            keep = keep | result.missing
-            result = round_supports(problem, seated(problem, result), keep, journal)
-        shape = result.shape
-        if not result.missing.any():
-            if not tried and len(keep):
-                pruned = "" if result.dropped.any() else "nothing was pruned, "
-                journal.skipped.append(f"a second round of steps: {pruned}no candidate is missing")
-            return shape, unrounded
-        if best is not None and _objective(problem, shape) >= _objective(problem, best):
-            break
-        best = shape
-        tried.add(problem.standing(shape.amplitudes).tobytes())
-        # what was dropped for its size and is missed at once stays: else the two would take turns for ever
-        keep = keep | (result.dropped & result.missing)
-    return best or shape, unrounded or shape
-
-
-def _method(problem: Problem, tools: Tools) -> SequentialConvex | Search:
-    """The search, where the penalty tells sizes and no back-end of convex steps was asked for."""
-    if tools.backend is None and tells_sizes(problem):
-        return Search(problem)
-    return SequentialConvex(problem, problem.group_weights, tools.backend or BACKENDS["working-set"])
-
-
-def _sequence(method: SequentialConvex | Search, shape: Shape, limit: int, journal: Journal) -> Shape:
-    algorithm: Algorithm[Any] = method
-    state = iterate(algorithm, method.begin(shape), limit, journal).state
-    if state.failure:
-        journal.remark(f"; then {state.failure}")
-    journal.failure = state.failure
-    return state.shape
 
 
 def _agree(outcomes: list[Outcome]) -> bool:

@@ -1,7 +1,7 @@
 """The last solve on a support: Newton with the exact Hessian on E_dist + R, or on E_dist alone (debiased).
 
 Where K is invertible, positions are a function of the support forces through equilibrium, so on a support of k groups only
-3 k numbers are unknown (MATHEMATICS.md, "Reduced form").
+c k numbers are unknown (MATHEMATICS.md, "Reduced form"). What a support can do is kept on the way (sparsity/faces.py).
 """
 
 from collections.abc import Callable, Iterable
@@ -15,6 +15,7 @@ from relax.errors import EquilibriumError
 from relax.factor import Factor
 from relax.iterate import Record, Stop, iterate
 from relax.membrane.equilibrium import find_equilibrium
+from relax.sparsity.faces import face_at, projected_gradient
 from relax.sparsity.supports import sizes
 
 Progress = Callable[[Record], None]
@@ -26,7 +27,9 @@ VISIBLE = 1e3  # times the noise: a fall that can be seen
 IDLE = 1e-6  # relative decrease of the value that counts as a gain, if the step was not shorter than this share of Newton's:
 SHORT = 0.1
 FAST = 0.01  # a step that shrinks the gradient at least this much needs no new curvature
-PATIENCE = 6  # steps in a row without a gain: the way ends at a shape that would not stand
+PATIENCE = (
+    10  # steps in a row without a gain: the way ends at a shape that would not stand; off a saddle falls of 1e-10 quadruple
+)
 REST_LIMIT = 20  # Newton steps to a nearby equilibrium; one that takes more is not near, and a shorter step is cheaper
 
 
@@ -37,7 +40,7 @@ class Shape:
     Parameters
     ----------
     positions : (V, 3) metres
-    amplitudes : (m, 3) newtons
+    amplitudes : (m, c) newtons
         Of all candidates; zero where nothing stands.
     factor : Factor or None
         Of K at or near the positions, where one is at hand.
@@ -59,7 +62,7 @@ class Shape:
 
 @dataclass(frozen=True)
 class _Bend:
-    """How E_dist bends in the members' forces, (3k, 3k), and the columns of K^-1 (3n, 3k): where they move the membrane."""
+    """How E_dist bends in the members' forces, (ck, ck), and the columns of K^-1 (3n, ck): where they move the membrane."""
 
     columns: Floats
     hessian: Floats
@@ -72,7 +75,8 @@ class _State:
     members: Ints
     value: float
     dual: Floats  # (n, 3)
-    gradient: Floats  # (k, 3) on the members
+    gradient: Floats  # (k, c) on the members
+    scale: float  # sigma
     residual: float
     fresh: bool  # the factorisation was made at this very shape
     bend: _Bend | None = None  # of an earlier shape, while it serves
@@ -91,14 +95,16 @@ class _Refit:
         """Value and gradient at a shape."""
         problem, nearby = self.problem, shape.factor
         shape, factor, dual = with_dual(problem, shape)
-        members = np.flatnonzero(shape.amplitudes.any(axis=1))
+        members = np.flatnonzero(problem.standing(shape.amplitudes))
         standing = shape.amplitudes[members]
         size = sizes(standing)
         slope = self._strength(members) * problem.penalty.slope(size)
-        gradient = problem.supports.duals(dual)[members] + (slope / size)[:, None] * standing
-        residual = float(sizes(gradient).max(initial=0.0)) / problem.slope_scale(shape.amplitudes)
+        gradient = problem.supports.duals(dual)[members] + (slope / np.where(size > 0, size, 1.0))[:, None] * standing
+        scale = problem.slope_scale(shape.amplitudes)
+        left = projected_gradient(problem.supports.reach, standing, gradient, problem.step_lengths(standing, scale))
+        residual = float(sizes(left).max(initial=0.0)) / scale
         value = self._value(shape.positions, shape.amplitudes)
-        return _State(shape, factor, members, value, dual, gradient, residual, factor is not nearby)
+        return _State(shape, factor, members, value, dual, gradient, scale, residual, factor is not nearby)
 
     def _strength(self, members: Ints) -> Floats:
         return self.share * self.problem.strength * self.problem.supports.weights[members]
@@ -122,29 +128,37 @@ class _Refit:
 
     def _newton(self, state: _State, bend: _Bend) -> _State:
         amplitudes = state.shape.amplitudes[state.members]
-        hessian = bend.hessian + self.share * penalty_hessian(self.problem, state.members, amplitudes)
+        whole = bend.hessian + self.share * penalty_hessian(self.problem, state.members, amplitudes)
+        # steps of curvature's own length tell what binds; the judge's, as long as the force, would press small forces to nothing
+        tau = 1 / np.maximum(np.abs(np.diag(whole)).reshape(amplitudes.shape).sum(axis=1), np.finfo(float).tiny)
+        face = face_at(self.problem.supports.reach, amplitudes, state.gradient, tau)
+        hessian = face.hessian(whole)
         values, vectors = np.linalg.eigh(0.5 * (hessian + hessian.T))
         # R bends downwards along each force and the membrane's own curvature may too: reflect, so that the step descends
-        size = np.maximum(np.abs(values), 1e-13 * np.abs(values).max())
-        slopes = vectors.T @ state.gradient.ravel()
+        size = np.maximum(np.abs(values), 1e-13 * np.abs(values).max(initial=0.0))
+        slopes = vectors.T @ face.gradient(whole)
         steps = -slopes / size
-        if values[0] < 0 and slopes @ slopes < VISIBLE * NOISE * abs(state.value) * size[0]:
+        if values.size and values[0] < 0 and slopes @ slopes < VISIBLE * NOISE * abs(state.value) * size[0]:
             # at a saddle the slope is lost in round-off: go down its steepest bend far enough for the value to show it
             steps[0] += np.copysign(np.sqrt(2 * VISIBLE * NOISE * abs(state.value) / size[0]), -slopes[0])
-        delta = vectors @ steps
-        return self._search(state, delta.reshape(-1, 3), bend)
+        delta = face.step(vectors @ steps)
+        moved = self._search(state, delta.reshape(amplitudes.shape), bend)
+        if not (moved.stuck and self.problem.supports.reach.constrained):
+            return moved
+        # a projected Newton step may climb where several bind; a projected gradient step of this length descends
+        return self._search(state, -(tau / len(tau))[:, None] * state.gradient, bend)
 
     def _search(self, state: _State, delta: Floats, bend: _Bend) -> _State:
         """Backtrack at true equilibrium that stands; supports that the step turns round leave where that lowers the value."""
-        members, shape = state.members, state.shape
-        descent = float(np.vdot(state.gradient, delta))
+        members, shape, supports = state.members, state.shape, self.problem.supports
         s = shape.amplitudes[members]
-        turned = np.einsum("ij,ij->i", s, s + delta) <= 0
+        turned = (np.einsum("ij,ij->i", s, s + delta) <= 0) & ~supports.always[members]
         noise = NOISE * abs(state.value)
         length = 1.0
         for _ in range(HALVINGS):
             for leave in [True, False] if turned.any() and self.share else [False]:
-                trial = s + length * delta
+                trial = supports.reach.project(s + length * delta)
+                descent = min(0.0, float(np.vdot(state.gradient, trial - s)))
                 if leave:
                     trial[turned] = 0.0
                 amplitudes = shape.amplitudes.copy()
@@ -153,7 +167,7 @@ class _Refit:
                 if moved is None:
                     continue
                 value = self._value(moved.positions, moved.amplitudes)
-                falls = value <= state.value + (0.0 if leave else 1e-4 * length * descent)
+                falls = value <= state.value + (0.0 if leave else 1e-4 * descent)
                 if falls or value <= state.value + noise:
                     near = self.state(moved)
                     stands = near.factor.positive_definite or not state.factor.positive_definite
@@ -177,17 +191,19 @@ class _Refit:
 
 
 def penalty_hessian(problem: Problem, members: Ints, amplitudes: Floats) -> Floats:
-    """R's Hessian (3k, 3k) at the members' amplitudes (k, 3): phi'' u u^T + phi'/t (I - u u^T) a group."""
+    """R's Hessian (ck, ck) at the members' amplitudes (k, c): phi'' u u^T + phi'/t (I - u u^T) a group."""
+    count, width = amplitudes.shape
     size = sizes(amplitudes)
-    unit = amplitudes / size[:, None]
+    length = np.where(size > 0, size, 1.0)  # at no force stand only those without a price
+    unit = amplitudes / length[:, None]
     strength = problem.strength * problem.supports.weights[members]
-    across = strength * problem.penalty.slope(size) / size
+    across = strength * problem.penalty.slope(size) / length
     along = strength * problem.penalty.curvature(size)
-    blocks = across[:, None, None] * np.eye(3) + (along - across)[:, None, None] * unit[:, :, None] * unit[:, None, :]
-    whole = np.zeros((len(size), 3, len(size), 3))
-    index = np.arange(len(size))
+    blocks = across[:, None, None] * np.eye(width) + (along - across)[:, None, None] * unit[:, :, None] * unit[:, None, :]
+    whole = np.zeros((count, width, count, width))
+    index = np.arange(count)
     whole[index, :, index, :] = blocks
-    return whole.reshape(3 * len(size), -1)
+    return whole.reshape(width * count, -1)
 
 
 def with_dual(problem: Problem, shape: Shape) -> tuple[Shape, Factor, Floats]:
@@ -215,7 +231,7 @@ def rest(problem: Problem, guess: Shape) -> Shape | None:
 
 
 def displaced(problem: Problem, shape: Shape, displacement: Floats, amplitudes: Floats) -> Shape | None:
-    """The shape at rest under other amplitudes (m, 3), started a displacement (3n,) from here; None if it finds none."""
+    """The shape at rest under other amplitudes (m, c), started a displacement (3n,) from here; None if it finds none."""
     guess = shape.positions.copy()
     guess[problem.membrane.free] += displacement.reshape(-1, 3)
     return rest(problem, replace(shape, positions=guess, amplitudes=amplitudes))
@@ -249,7 +265,8 @@ def refit(problem: Problem, shape: Shape, mode: str = "penalised", progress: Pro
         The membrane finds no rest under these forces, or has no dual there.
     """
     method = _Refit(problem, 1.0 if mode == "penalised" else 0.0)
-    rested = rest(problem, shape)
+    # a first force may be larger than any that is allowed
+    rested = rest(problem, replace(shape, amplitudes=problem.supports.reach.project(shape.amplitudes)))
     if rested is None:
         raise EquilibriumError("the membrane finds no rest under the supports that were kept: raise the prestress")
     return iterate(method, method.state(rested), LIMIT, progress).state.shape

@@ -14,6 +14,7 @@ from relax.design.refit import Progress, Shape, refit, stationary_dual
 from relax.sparsity.supports import sizes
 
 LIMIT = 50
+SEATS = 16  # groups that are missing get a first force at once; hundreds would raise the value before Newton lowers it
 SEAT = 1e-3  # of the largest force: where Newton on R starts with a support that is missing
 STATIONARY = 1e-3  # of a shape whose dual is believed
 SLACK = 1 + 1e-7  # round-off of a dual; the judge allows 1e-6
@@ -21,7 +22,7 @@ SLACK = 1 + 1e-7  # round-off of a dual; the judge allows 1e-6
 
 @dataclass(frozen=True)
 class Rounded:
-    """A refitted shape with its dual (m, 3), which groups were dropped on the way (m,), and which are missing (m,)."""
+    """A refitted shape with its dual (m, c), which groups were dropped on the way (m,), and which are missing (m,)."""
 
     shape: Shape
     dual: Floats
@@ -35,23 +36,26 @@ def round_supports(problem: Problem, shape: Shape, keep: Mask, progress: Progres
     for _ in range(LIMIT):
         shape = refit(problem, shape, "penalised", progress)
         standing = problem.standing(shape.amplitudes)
-        small = standing & (sizes(shape.amplitudes) <= problem.penalty.resolution) & ~keep
+        small = standing & (sizes(shape.amplitudes) <= problem.penalty.resolution) & ~keep & ~problem.supports.always
         if not small.any():
             break
         shape = replace(shape, amplitudes=np.where(small[:, None], 0.0, shape.amplitudes))
     shape, field, residual = stationary_dual(problem, shape)
     dual = problem.supports.duals(field)
     stands = problem.standing(shape.amplitudes)
-    allowed = problem.group_weights(np.zeros_like(shape.amplitudes))
+    allowed = problem.group_weights(problem.supports.none)
     # the dual of a shape that Newton left far from stationary says nothing
-    missing = ~stands & (sizes(dual) > allowed * SLACK) if residual <= STATIONARY else np.zeros_like(stands)
+    missing = ~stands & (sizes(problem.pulls(dual)) > allowed * SLACK) if residual <= STATIONARY else np.zeros_like(stands)
     return Rounded(shape, dual, before & ~stands, missing)
 
 
-def seated(problem: Problem, result: Rounded) -> Shape:
-    """The rounded shape with a first small force at each missing group, along which the value falls."""
-    shape, dual = result.shape, result.dual[result.missing]
+def seated(problem: Problem, result: Rounded, seats: int = SEATS) -> Shape:
+    """The rounded shape with a first small force at the groups that are missed most; the value falls along each by itself."""
+    shape, pulls = result.shape, problem.pulls(result.dual)
+    size = sizes(pulls)
+    missing = np.flatnonzero(result.missing)
+    most = missing[np.argsort(-size[missing] / problem.supports.weights[missing])][:seats]
     seat = SEAT * float(sizes(shape.amplitudes).max(initial=0.0)) or problem.penalty.resolution
     amplitudes = shape.amplitudes.copy()
-    amplitudes[result.missing] = -seat * dual / sizes(dual)[:, None]
+    amplitudes[most] = seat * pulls[most] / size[most, None]
     return replace(shape, amplitudes=amplitudes)

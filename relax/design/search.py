@@ -12,11 +12,14 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from relax.arrays import Floats, Ints
+from relax.convex.reweighted import GRADUAL
+from relax.design.landscape import Landscape
 from relax.design.model import Model, empty_model
 from relax.design.problem import Problem
 from relax.design.refit import Shape, displaced, figures, penalty_hessian, with_dual
 from relax.iterate import Stop
 from relax.sparsity.supports import sizes
+from relax.sparsity.surrogates import Continuation
 
 DENSE = 0.5  # share of the candidates: more forces than this are no support yet
 PEAKS = 24  # of dense forces: candidates of a first model at most
@@ -30,6 +33,7 @@ REARRANGED = (
     8  # moves of single supports and close pairs that are looked at closer; where more stand close together the weight fits noise
 )
 REARRANGED_PAYS = 5e-3  # relative fall that the model must promise for a support moved by itself
+WIDER = 3.0  # first smoothing of a second continuation: on some scenes it ends lower, by up to 4 % of the objective
 PROPOSALS = 2  # the model's best are tried at true equilibrium, no more
 GAIN = 1e-4  # relative fall of the objective below which Newton on the support is the better next step
 SETTLED = 0.01  # relative fall with the same supports after which Newton on them is the better next step
@@ -58,9 +62,12 @@ class Search:
     ----------
     problem : Problem
         Its penalty tells small forces from large ones (else there is nothing to reweight).
+    continuation : Continuation
+        How the smoothing of a model's reweightings shrinks.
     """
 
     problem: Problem
+    continuation: Continuation = GRADUAL
 
     def begin(self, shape: Shape) -> State:
         """The first state."""
@@ -72,7 +79,8 @@ class Search:
         """The first of the model's best proposals that pays at true equilibrium."""
         if np.isinf(state.objective):
             shape, model = self._first_model(state.shape)
-            moved = self._tried(replace(state, shape=shape), model, [model.small.pruned(model.small.continued())])
+            few = model.small.pruned(model.small.continued(self.continuation))
+            moved = self._tried(replace(state, shape=shape), model, [few])
             # a weight so light that forces everywhere pay: few would be worse than what is there, if that stands
             own = self.problem.objective(shape.positions, shape.amplitudes)
             if moved.stop or moved.objective < own or not model.factor.positive_definite:
@@ -81,7 +89,9 @@ class Search:
         shape, model, slides = self._model(state.shape)
         small, here = model.small, shape.amplitudes
         starts = [here, self._shifted(here, slides)]
-        proposals = [small.pruned(small.continued()), *(small.pruned(start[model.members]) for start in starts)]
+        wider = replace(self.continuation, first=WIDER * self.continuation.first)
+        proposals = [small.pruned(small.continued(each)) for each in (self.continuation, wider)]
+        proposals += [small.pruned(start[model.members]) for start in starts]
         proposals.append(np.zeros_like(proposals[0]))  # nothing at all: each may pay beside the others, and together not
         moved = self._tried(replace(state, shape=shape), model, proposals)
         return moved if moved.stop is None else self._rearranged(moved, model, slides)
@@ -120,11 +130,11 @@ class Search:
         return moved if moved.stop is None else replace(state, shape=moved.shape, looked=moved.looked)
 
     def _shifted(self, amplitudes: Floats, moves: Ints) -> Floats:
-        """Amplitudes (m, 3) with the forces at moves[:, 0] added to those at moves[:, 1]."""
+        """Amplitudes (m, c) with the forces at moves[:, 0] added to those at moves[:, 1]."""
         shifted = amplitudes.copy()
         shifted[moves[:, 0]] = 0.0
         np.add.at(shifted, moves[:, 1], amplitudes[moves[:, 0]])
-        return shifted
+        return self.problem.supports.reach.project(shifted)
 
     def _tried(self, state: State, model: Model, proposals: list[Floats], promise: float = GAIN) -> State:
         """The state after the best proposal that pays in truth, or the same at its end; `promise`: what is asked of a model."""
@@ -153,7 +163,7 @@ class Search:
         return Stop.CONVERGED if same and objective > (1 - SETTLED) * before.objective else None
 
     def _supported(self, shape: Shape) -> tuple[Shape, Model, Floats]:
-        """The model at a shape on the supports that stand, and the dual (m, 3)."""
+        """The model at a shape on the supports that stand, and the dual (m, c)."""
         problem = self.problem
         shape, factor, field = with_dual(problem, shape)
         dual = problem.supports.duals(field)
@@ -164,11 +174,10 @@ class Search:
 
     def _model(self, shape: Shape) -> tuple[Shape, Model, Ints]:
         """The model at a shape under few forces: with those, the peaks that could pay, and a neighbour uphill of each."""
-        problem = self.problem
         shape, model, dual = self._supported(shape)
         standing = model.members
-        steep = sizes(dual) / problem.supports.weights
-        uphill = self._uphill(steep, standing)
+        steep = self._steepness(dual)
+        uphill = self._land.uphill(steep, standing)
         entering = np.union1d(self._newcomers(model, dual), np.setdiff1d(uphill, standing))
         slides = np.column_stack([standing, uphill])[uphill != standing]
         return shape, model.enlarged(entering), slides
@@ -184,11 +193,12 @@ class Search:
         dual = problem.supports.duals(factor.solve(2 * pulled).reshape(-1, 3))
         model = empty_model(problem, factor, problem.metric, np.zeros_like(dual), float(offset @ pulled), dual)
         force = sizes(shape.amplitudes)
-        peaks = self._peaks(force)[:PEAKS]
-        model = model.enlarged(peaks[force[peaks] > STRONG * force.max()])
+        peaks = self._land.peaks(force)[:PEAKS]
+        peaks = peaks[force[peaks] > STRONG * force.max()]
+        model = model.enlarged(np.union1d(peaks, np.flatnonzero(problem.supports.always)))
         value = np.inf
         for _ in range(ROUNDS):
-            best = model.small.pruned(model.small.continued())
+            best = model.small.pruned(model.small.continued(self.continuation))
             if model.value(best) > (1 - ROUND_PAYS) * value:
                 break
             value = model.value(best)
@@ -202,37 +212,32 @@ class Search:
         """Peaks of the dual field outside the model where a force could pay for itself, the steepest first."""
         problem = self.problem
         count = len(model.members) if standing is None else standing
-        steep = sizes(dual) / problem.supports.weights
+        steep = self._steepness(dual)
         steep[model.members] = 0.0
-        peaks = self._peaks(steep)
-        peaks = peaks[steep[peaks] > 0][: max(NEWCOMERS, round(ENTER * count))]
+        peaks = self._land.peaks(steep)
+        peaks = peaks[: max(NEWCOMERS, round(ENTER * count))]
         if not model.members.size:
             return peaks
         # how far a unit force moves the membrane is not known without its column: the members' mean tells the order of it
-        along = np.square(dual[peaks]) / np.square(sizes(dual)[peaks, None])
+        pulls = problem.pulls(dual)[peaks]
+        along = np.square(pulls) / np.square(sizes(pulls)[:, None])
         bend = along @ np.diag(model.small.quadratic).reshape(-1, along.shape[1]).mean(axis=0)
-        gain = OPTIMISM * sizes(dual)[peaks]
-        force = SHARES[:, None] * gain / (2 * bend)
+        gain = OPTIMISM * sizes(pulls)
+        force = np.minimum(SHARES[:, None] * gain / (2 * bend), problem.supports.reach.largest)
         # a force below the penalty's resolution is none, however little it costs
         priced = np.maximum(force, problem.penalty.resolution)
         cost = problem.strength * problem.supports.weights[peaks] * problem.penalty.value(priced)
         return peaks[(gain * force - bend * force**2 - cost).max(axis=0) > 0]
 
-    @cached_property
-    def _neighbours(self) -> tuple[Ints, Ints]:
-        """Row pointer and columns of the candidates' graph, each its own neighbour."""
-        pointer, column = self.problem.membrane.neighbours
-        vertices = self.problem.supports.vertices
-        index = np.full(self.problem.supports.free, -1)
-        index[vertices] = np.arange(len(vertices))
-        row = np.repeat(np.arange(len(pointer) - 1), np.diff(pointer))
-        keep = (index[row] >= 0) & (index[column] >= 0)
-        return np.searchsorted(index[row[keep]], np.arange(len(vertices) + 1)), index[column[keep]]
+    def _steepness(self, dual: Floats) -> Floats:
+        """What a unit of force gains at each candidate, over its price (m,); of those without a price none is steeper."""
+        supports = self.problem.supports
+        steep = sizes(self.problem.pulls(dual)) / np.where(supports.always, 1.0, supports.weights)
+        return np.where(supports.always, 0.0, steep)
 
-    def _uphill(self, field: Floats, at: Ints) -> Ints:
-        """The neighbour of each candidate in `at` where `field` (m,) is largest, itself perhaps."""
-        pointer, column = self._neighbours
-        return np.array([max(column[pointer[i] : pointer[i + 1]], key=field.__getitem__) for i in at], dtype=np.int64)
+    @cached_property
+    def _land(self) -> Landscape:
+        return Landscape(self.problem)
 
     def _close_pairs(self, shape: Shape) -> tuple[Ints, Ints]:
         """Supports that stand close together and pull the same way (P, 2), and the candidate halfway, by their forces (P,)."""
@@ -250,12 +255,6 @@ class Search:
         # images of one pair are one move
         moves = np.unique(np.column_stack([np.sort(group[np.column_stack([one, other])]), group[halfway]]), axis=0)
         return moves[:, :2], moves[:, 2]
-
-    def _peaks(self, field: Floats) -> Ints:
-        """Candidates where `field` (m,) has a local maximum on the mesh, the highest first."""
-        pointer, column = self._neighbours
-        peaks = np.flatnonzero(field >= np.maximum.reduceat(field[column], pointer[:-1]))
-        return peaks[np.argsort(-field[peaks])]
 
     def _moved(self, shape: Shape, model: Model, proposal: Floats) -> Shape | None:
         """The shape at rest under the proposed forces, started where K predicts it; None if it finds no rest."""

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-import numpy as np
 from threadpoolctl import threadpool_limits
 
 from relax.arrays import Floats
@@ -14,16 +13,15 @@ from relax.convex.backends import BACKENDS, Backend
 from relax.design.ledger import sentences
 from relax.design.masts import Mast, standing_masts
 from relax.design.methods import Method, method_by_name
+from relax.design.methods.sequential import Sequential
 from relax.design.optimality import EQUILIBRIUM, OFF_SUPPORT, Certificate
 from relax.design.parts import Part, PartJournal, assembled, counted, split
 from relax.design.problem import Problem
-from relax.design.race import Found, Outcome, Tools, best_of, last_refit
-from relax.design.refit import Shape
+from relax.design.race import Found, Outcome, best_of, last_refit
 from relax.design.starts import Start, choose_starts, resolve_weight
 from relax.design.trace import Callback, Journal, Trace
 from relax.errors import EquilibriumError, InputError
 from relax.iterate import Stop
-from relax.membrane.equilibrium import find_equilibrium
 
 
 @dataclass(frozen=True)
@@ -95,25 +93,34 @@ def solve(
             journal.skipped.append("the import of cvxpy: no convex step is handed to it")
         if backend is None and named != "auto":
             backend = BACKENDS[named]
-        return _solve(problem, start, Tools(journal, backend, method or method_by_name(said["method"])))
+        method = method or method_by_name(said["method"])
+        if backend is not None:
+            method = _with_backend(method, backend, said["method"])
+        return _solve(problem, start, method, journal)
 
 
-def _solve(problem: Problem, start: tuple[Floats, Floats] | None, tools: Tools) -> Design:
-    journal = tools.journal
+def _with_backend(method: Method, backend: Backend, name: str) -> Method:
+    if isinstance(method, Sequential):
+        return replace(method, backend=backend)
+    raise InputError(f"solver.backend: the method {name} solves no convex steps by themselves: leave the back-end out")
+
+
+def _solve(problem: Problem, start: tuple[Floats, Floats] | None, method: Method, journal: Journal) -> Design:
     parts = split(problem)
     if parts:
-        found = _solve_apart(problem, parts, start, tools)
+        found = _solve_apart(problem, parts, start, method, journal)
     else:
-        found = best_of(problem, None if start is None else choose_starts(problem, start, journal.skipped), tools)
+        found = best_of(problem, None if start is None else choose_starts(problem, start, journal.skipped), method, journal)
     stop = Stop.INTERRUPTED.value if found.interrupted else _why(found.best)
-    design = _design(problem, found.best, journal, stop)
+    design = as_design(problem, found.best, journal, stop)
     said = sentences(problem, journal, found.factorizations)
     return replace(design, factorizations=found.factorizations, skipped=said)
 
 
-def _solve_apart(problem: Problem, parts: Sequence[Part], start: tuple[Floats, Floats] | None, tools: Tools) -> Found:
+def _solve_apart(
+    problem: Problem, parts: Sequence[Part], start: tuple[Floats, Floats] | None, method: Method, journal: Journal
+) -> Found:
     """Each part by itself, the others at rest where they start or ended; after an interrupt the rest stay at their start."""
-    journal = tools.journal
     said: list[list[str]] = [[] for _ in parts]
     starts = [_starts_of(part, start, words) for part, words in zip(parts, said, strict=True)]
     shapes = [first.shape for first, *_ in starts]
@@ -122,7 +129,7 @@ def _solve_apart(problem: Problem, parts: Sequence[Part], start: tuple[Floats, F
     for index, part in enumerate(parts):
         journals.append(PartJournal(journal, parts, shapes, index))
         try:
-            found = best_of(part.problem, starts[index], replace(tools, journal=journals[-1]))
+            found = best_of(part.problem, starts[index], method, journals[-1])
         except KeyboardInterrupt:  # before the first step of this part
             if not journal.shapes:
                 raise
@@ -178,7 +185,8 @@ def _why(outcome: Outcome) -> str:
     return f"{reason}; {outcome.trouble}" if outcome.trouble else reason
 
 
-def _design(problem: Problem, best: Outcome, journal: Journal, stop: str) -> Design:
+def as_design(problem: Problem, best: Outcome, journal: Journal, stop: str) -> Design:
+    """The outcome of a run with the journal that it kept."""
     settings: dict[str, Any] = copy.deepcopy(dict(problem.scene.settings))
     used = {key: getattr(problem.penalty, key, None) for key in settings["penalty"] if key != "weight_fraction"}
     settings["penalty"] |= used | {"weight": problem.weight}
@@ -196,34 +204,3 @@ def _design(problem: Problem, best: Outcome, journal: Journal, stop: str) -> Des
         interrupted=stop == Stop.INTERRUPTED.value,
         trace=journal.trace(best.unrounded),
     )
-
-
-def form(problem: Problem, forces: Floats, callback: Callback | None = None) -> Design:
-    """Forward form-finding by Newton from the scene's flat start under given support forces (V, 3) newtons.
-
-    The design's certificate says whether the shape found is in equilibrium and stands; `stop` says why where it is not.
-
-    Raises
-    ------
-    InputError
-        A force at a vertex that is no candidate.
-    """
-    stray = np.flatnonzero(forces.any(axis=1) & ~problem.scene.candidates)
-    if stray.size:
-        raise InputError(
-            f"forces: a support force acts at vertex {stray[0]}, where the scene allows none: take it out, or make the vertex a "
-            "candidate (supports.candidates, supports.never)"
-        )
-    with threadpool_limits(1, "blas"):
-        problem = resolve_weight(problem)
-        journal = Journal(problem, callback)
-        nodal = forces[problem.membrane.free]
-        found = find_equilibrium(problem.membrane, problem.scene.start, nodal + problem.loads)
-        shape = Shape(found.positions, problem.supports.amplitudes(nodal), None, found.factorizations)
-        outcome = Outcome(problem, shape, shape, last_refit(problem))
-        certificate = outcome.certificate
-        journal.stage = "form-finding"
-        note = "Newton on the stiffness matrix"
-        journal({"shape": shape, "objective": certificate.objective, "supports": certificate.supports, "note": note})
-        stop = Stop.UNSTABLE if found.found and not certificate.stable else found.stop
-        return replace(_design(problem, outcome, journal, stop.value), iterations=found.iterations)

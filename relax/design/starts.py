@@ -8,7 +8,8 @@ from relax.arrays import Floats
 from relax.design.problem import Problem
 from relax.design.refit import Shape, rest
 from relax.errors import EquilibriumError, InputError
-from relax.membrane.equilibrium import find_equilibrium
+from relax.membrane.formers import form_find
+from relax.sparsity.penalties import is_convex, steepest
 from relax.sparsity.supports import sizes
 
 PLANTED = 0.1  # share of the candidates: where fewer carry a force at the target, the target is itself a tensile surface
@@ -37,7 +38,7 @@ def unsupported(problem: Problem) -> Shape:
     EquilibriumError
         It finds no rest, or does not stand there; the message says why.
     """
-    found = find_equilibrium(problem.membrane, problem.scene.start, problem.loads)
+    found = form_find(problem.membrane, problem.scene.start, problem.loads)
     if not found.found:
         raise EquilibriumError(f"the membrane without supports: {found.stop.value}")
     factor = problem.factor_at(found.positions)
@@ -45,15 +46,14 @@ def unsupported(problem: Problem) -> Shape:
         raise EquilibriumError(
             "the membrane without supports does not stand by itself (no prestress, or a slack part): lower membrane.rest_scale"
         )
-    none = np.zeros_like(problem.supports.rows, dtype=float)
-    return Shape(found.positions, none, found.factor, found.factorizations).with_factor(factor)
+    return Shape(found.positions, problem.supports.none, found.factor, found.factorizations).with_factor(factor)
 
 
 def largest_weight(problem: Problem, shape: Shape) -> float:
-    """The smallest weight at which no support passes the dual test: max |lam_g| / c_g at the unsupported `shape`."""
-    factor = shape.factor or problem.factor_at(shape.positions)
-    dual = problem.supports.duals(problem.dual(shape.positions, factor))
-    return float((sizes(dual) / problem.supports.weights).max())
+    """The smallest weight at which no support passes the dual test: max |P_C(-lam_g)| / c_g at the unsupported `shape`."""
+    factor, supports = shape.factor or problem.factor_at(shape.positions), problem.supports
+    pulls = sizes(problem.pulls(supports.duals(problem.dual(shape.positions, factor))))
+    return float((pulls[~supports.always] / supports.weights[~supports.always]).max(initial=0.0))
 
 
 def resolve_weight(problem: Problem) -> Problem:
@@ -67,21 +67,33 @@ def resolve_weight(problem: Problem) -> Problem:
     fraction = problem.scene.settings["penalty"].get("weight_fraction")
     if problem.weight is not None or fraction is None:
         return problem
+    slope = steepest(problem.penalty)
+    if not np.isfinite(slope):
+        raise InputError(
+            f'penalty.weight_fraction: the penalty "{problem.penalty.name}" jumps at zero, so no weight is the largest useful '
+            "one: give penalty.weight"
+        )
     bare = unsupported(problem)
-    steepest = float(problem.penalty.weight(np.zeros(1))[0])
     if _reached(problem, bare):
         raise InputError(
             "penalty.weight_fraction: the membrane without supports already lies on the target, so no weight is useful: give "
             "penalty.weight, or another target"
         )
-    return problem.replace(weight=fraction * largest_weight(problem, bare) / steepest)
+    largest = largest_weight(problem, bare)
+    if largest == 0:
+        raise InputError(
+            "penalty.weight_fraction: no support that could be left out would bring the membrane nearer to the target "
+            "(supports.direction, supports.candidates, supports.always), so no weight is useful: give penalty.weight, or allow "
+            "other supports"
+        )
+    return problem.replace(weight=fraction * largest / slope)
 
 
 def at_target(problem: Problem) -> Shape | None:
     """The target under the forces that its own springs ask for, x = xhat, p = -f(xhat) - g, or as near as candidates allow."""
     target = problem.scene.target
     wanted = -problem.membrane.forces(target) - problem.loads
-    amplitudes = problem.supports.amplitudes(wanted)
+    amplitudes = problem.supports.nearest(wanted)
     level = NOTHING * max(float(sizes(wanted).max()), float(np.abs(problem.membrane.tension(target)).max()))
     amplitudes[sizes(amplitudes) <= level] = 0.0
     return rest(problem, Shape(target, amplitudes, problem.factor_at(target), 1))
@@ -95,18 +107,19 @@ def pulled(problem: Problem) -> Shape | None:
     """
     membrane, start = problem.membrane, problem.scene.start
     forces = membrane.forces(start) + problem.loads
-    offset = (problem.metric @ problem.offset(start).ravel()).reshape(-1, 3)
-    stiffness = float(membrane.stiffness(start).diagonal().mean()) / (float(problem.metric.diagonal().mean()) or 1.0)
+    # alike in all directions: a metric that lets a vertex slide says nothing of where it should start
+    pull = np.einsum("vii->v", problem.scene.metric[membrane.free])
+    pull *= float(membrane.stiffness(start).diagonal().mean()) / (pull.mean() or 1.0)
+    offset = pull[:, None] * problem.offset(start)
     for share in PULLS:
-        pull = share * stiffness
-        tied = membrane.tied_factor_at(start, pull * problem.scene.metric[membrane.free])
+        tied = membrane.tied_factor_at(start, share * pull[:, None, None] * np.eye(3))
         if not tied.positive_definite:
             continue
         positions = start.copy()
-        positions[membrane.free] += tied.solve(forces - pull * offset)
+        positions[membrane.free] += tied.solve(forces - share * offset)
         factor = problem.factor_at(positions)
         if factor.positive_definite:
-            amplitudes = problem.supports.amplitudes(-membrane.forces(positions) - problem.loads)
+            amplitudes = problem.supports.nearest(-membrane.forces(positions) - problem.loads)
             return rest(problem, Shape(positions, amplitudes, factor, 2))
     return None
 
@@ -116,7 +129,7 @@ def given(problem: Problem, positions: Floats, forces: Floats) -> Shape | None:
     free = problem.membrane.free
     placed = problem.scene.clean_target.copy()
     placed[free] = positions[free]
-    amplitudes = problem.supports.amplitudes(forces[free])
+    amplitudes = problem.supports.nearest(forces[free])
     return rest(problem, Shape(placed, amplitudes, problem.factor_at(placed), 1))
 
 
@@ -155,7 +168,7 @@ def _automatic(problem: Problem, skipped: list[str]) -> list[Start]:
     if shape is not None and is_planted(problem, shape):
         skipped.append("a search for other starts: few supports hold the target as it is")
         return [Start("target", shape)]
-    if not tells_sizes(problem):
+    if is_convex(problem.penalty):
         skipped.append("other first weights: the penalty's own never change")
         return [Start("unsupported", unsupported(problem))]
     drawn = pulled(problem) if len(problem.supports.vertices) else None
@@ -168,12 +181,6 @@ def _automatic(problem: Problem, skipped: list[str]) -> list[Start]:
             raise
         skipped.append("heavy starts: the membrane does not stand without supports")
         return [Start("target", shape)]
-
-
-def tells_sizes(problem: Problem) -> bool:
-    """Whether the penalty's weight depends on the force: else every first weight leads the same way."""
-    none, huge = problem.penalty.weight(np.array([0.0, 1e30]))
-    return bool(none != huge)
 
 
 def _found(shape: Shape | None, where: str) -> Shape:

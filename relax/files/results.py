@@ -5,8 +5,6 @@ import json
 import math
 import os
 import platform
-import secrets
-import shutil
 import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -16,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from relax.errors import InputError
 from relax.files.exports import write_obj, write_vtu
+from relax.files.folders import check_folder, write_whole
 from relax.files.stored import SCENE_ARRAYS, StoredResult, load_result
 
 if TYPE_CHECKING:
@@ -44,19 +42,7 @@ def check_output(folder: str | os.PathLike[str]) -> None:
         `folder` is empty, is a file or lies inside one, cannot be written to, or holds a folder under the name of one of our
         files.
     """
-    if not os.fspath(folder):
-        raise InputError("the name of the result folder is empty: give one")
-    folder = Path(folder)
-    there = next((place for place in (folder, *folder.absolute().parents) if os.path.lexists(place)), Path("/"))
-    if not there.is_dir():
-        where = "this" if there == folder else f"{there}"
-        raise InputError(f"{folder}: {where} is a file, so no result folder can be written here: give another folder with -o")
-    if not os.access(there, os.W_OK | os.X_OK):
-        raise InputError(f"{folder}: {there} cannot be written to: give another folder with -o, or change its permissions")
-    if there == folder:
-        for name in OURS:
-            if (folder / name).is_dir():
-                raise InputError(f"{folder}: {name} is a folder, where a file of the result belongs: move it, or use another -o")
+    check_folder(folder, OURS)
 
 
 def write_result(
@@ -74,28 +60,7 @@ def write_result(
     pictures : mapping of a file's name to a function that draws it at the path it is given
     """
     check_output(folder)
-    folder = Path(folder)
-    stage = _new_stage(folder)
-    try:
-        _fill(stage, design, read_seconds, pictures or {})
-        if folder.is_dir():
-            _exchange(stage, folder)
-        else:
-            stage.rename(folder)
-    finally:
-        shutil.rmtree(stage, ignore_errors=True)
-
-
-def _new_stage(folder: Path) -> Path:
-    """An empty hidden folder on the same disk: inside `folder` where that exists, so that its parent need not be writable."""
-    try:
-        inside = folder if folder.is_dir() else folder.parent
-        inside.mkdir(parents=True, exist_ok=True)
-        stage = inside / f".relax-{secrets.token_hex(6)}"
-        stage.mkdir()
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be written ({error.strerror}): give another folder with -o") from None
-    return stage
+    write_whole(Path(folder), OURS, lambda stage: _fill(stage, design, read_seconds, pictures or {}))
 
 
 def _fill(stage: Path, design: "Design", read_seconds: float, pictures: Mapping[str, Draw]) -> None:
@@ -114,29 +79,8 @@ def _fill(stage: Path, design: "Design", read_seconds: float, pictures: Mapping[
     for name, draw in pictures.items():
         draw(stage / name)
     seconds = {"read": read_seconds, "solve": design.seconds, "write": time.perf_counter() - began}
-    text = json.dumps(_plain(_summary(design) | {"seconds": seconds}), indent=2, allow_nan=False)
+    text = json.dumps(plain(_summary(design) | {"seconds": seconds}), indent=2, allow_nan=False)
     (stage / "result.json").write_text(text + "\n", encoding="utf-8")
-
-
-def _exchange(stage: Path, folder: Path) -> None:
-    """Put the files of `stage` in the place of ours in `folder`; on any trouble put the old ones back."""
-    new = sorted(entry.name for entry in stage.iterdir())
-    old = stage / "old"
-    old.mkdir()
-    done: list[str] = []
-    try:
-        for name in dict.fromkeys([*OURS, *new]):
-            if os.path.lexists(folder / name):
-                os.replace(folder / name, old / name)
-        for name in new:
-            os.replace(stage / name, folder / name)
-            done.append(name)
-    except BaseException:
-        for name in done:
-            (folder / name).unlink(missing_ok=True)
-        for entry in old.iterdir():
-            os.replace(entry, folder / entry.name)
-        raise
 
 
 def _summary(design: "Design") -> dict[str, Any]:
@@ -165,12 +109,12 @@ def versions() -> dict[str, str]:
     return found
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """`value` in JSON's own types; a number that is not finite becomes null, since JSON has no other word for it."""
     if isinstance(value, Mapping):
-        return {str(key): _plain(entry) for key, entry in value.items()}
+        return {str(key): plain(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple | np.ndarray):
-        return [_plain(entry) for entry in value]
+        return [plain(entry) for entry in value]
     if isinstance(value, np.generic):
         value = value.item()
     return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
+from relax.convex.backends import BACKENDS
+from relax.design.methods import METHODS
 from relax.errors import InputError
 from relax.files.checks import (
     Check,
@@ -24,6 +26,8 @@ from relax.files.checks import (
     truth,
     whole,
 )
+from relax.sparsity.parameters import Numbers, parameters
+from relax.sparsity.penalties import PENALTIES, make_penalty
 
 Settings = dict[str, Any]
 Raw = Mapping[str, Any]
@@ -52,6 +56,25 @@ def _file(suffixes: tuple[str, ...]) -> Check:
         if os.path.splitext(path)[1].lower() not in suffixes:
             raise RefusedError
         return path
+
+    return check
+
+
+def _parameters() -> dict[str, Key]:
+    """The parameters of all penalties; a key that several share takes the same numbers in each. Each fills in its defaults."""
+    return {
+        name: Key(None, _allowed(numbers), numbers.words)
+        for kind in PENALTIES.values()
+        for name, numbers in parameters(kind).items()
+    }
+
+
+def _allowed(numbers: Numbers) -> Check:
+    def check(value: Any) -> float:
+        plain = number(value)
+        if not numbers.allows(plain):
+            raise RefusedError
+        return plain
 
     return check
 
@@ -114,56 +137,24 @@ SCHEMA: dict[str, dict[str, Key]] = {
         "ground": Key(None, number, "a finite number, metres"),
     },
     "penalty": {
-        "name": _names("power", "group-lasso", "power", "log-sum", "mcp", "scad", "count"),
+        "name": _names("power", *PENALTIES),
         "weight": Key(None, above(0), "a number above 0"),
         "weight_fraction": Key(None, above(0, 1), "a number above 0 and at most 1"),
-        "exponent": Key(0.5, above(0, 1), "a number above 0 and at most 1"),
-        "smoothing": Key(1e-6, at_least(0), "a number above 0, newtons squared (0 with exponent = 1 alone)"),
-        "scale": Key(None, above(0), "a number above 0, newtons"),
-        "knee": Key(None, above(0), "a number above 0, newtons"),
-        "shape": Key(3.7, above(2), "a number above 2"),
+        **_parameters(),
     },
     "rounding": {"refit": _names("penalised", "penalised", "debiased")},
     "solver": {
-        "method": _names("sequential", "sequential", "lagrangian"),
-        "backend": _names("auto", "auto", "clarabel", "cvxpy", "osqp", "working-set"),
+        "method": _names(next(iter(METHODS)), *METHODS),
+        "backend": _names("auto", "auto", *BACKENDS),
         "start": Key("auto", text, '"auto", "target", "heavy" or a result folder'),
         "tolerance": Key(1e-8, above(0), "a number above 0"),
     },
 }
 
 
-@dataclass(frozen=True)
-class Later:
-    """Values of a key whose feature is not built yet: removing the entry enables them.
-
-    `names` are the refused names where the key takes names; elsewhere every value but the default is refused.
-    """
-
-    feature: str
-    names: tuple[str, ...] = ()
-
-
-LATER: dict[tuple[str, str], Later] = {
-    ("target", "metric"): Later("distances along the normal or in height alone are", ("normal", "height")),
-    ("target", "area_weights"): Later("area weights are"),
-    ("membrane", "cables"): Later("cables along edges are"),
-    ("supports", "direction"): Later("supports in a chosen direction are"),
-    ("supports", "weights"): Later("supports weighted by height are", ("height",)),
-    ("supports", "max_force"): Later("a largest support force is"),
-    ("supports", "always"): Later("supports that always stand are"),
-    ("penalty", "name"): Later("this penalty is", ("log-sum", "mcp", "scad", "count")),
-    ("solver", "method"): Later("this method is", ("lagrangian",)),
-    ("solver", "backend"): Later("this back-end is", ("osqp",)),
-}
-
 # keys that mean something only beside certain values of others: (section, key): (applies to these settings, the condition)
 _PENALTIES: dict[str, tuple[str, ...]] = {
-    "exponent": ("power",),
-    "smoothing": ("power",),
-    "scale": ("log-sum",),
-    "knee": ("mcp", "scad"),
-    "shape": ("scad",),
+    key: tuple(name for name, kind in PENALTIES.items() if key in parameters(kind)) for key in _parameters()
 }
 
 
@@ -245,16 +236,11 @@ def _value(section: str, name: str, found: Raw) -> Any:
     if name not in found:
         return _default(key)
     value = found[name]
-    later = LATER.get((section, name))
     try:
         plain = key.check(value)
     except RefusedError as refusal:
         detail = f" ({refusal})" if str(refusal) else ""
-        raise InputError(f"{section}.{name} = {shown(value)}{detail}: {_expected(key, later, value)}") from None
-    if later is not None and (plain in later.names if later.names else plain != _default(key)):
-        raise InputError(
-            f"{section}.{name} = {shown(plain)}: {later.feature} not in this version yet; leave the key out{_fallback(key)}"
-        )
+        raise InputError(f"{section}.{name} = {shown(value)}{detail}: {_expected(key, value)}") from None
     return plain
 
 
@@ -262,15 +248,10 @@ def _default(key: Key) -> Any:
     return list(key.default) if isinstance(key.default, tuple) else key.default
 
 
-def _fallback(key: Key) -> str:
-    return "" if key.default in (None, ()) else f" (default {shown(key.default)})"
-
-
-def _expected(key: Key, later: Later | None, value: Any) -> str:
+def _expected(key: Key, value: Any) -> str:
     if isinstance(key.possible, str):
         return f"expected {key.possible}"
-    possible = [name for name in key.possible if later is None or name not in later.names]
-    return f"{_meant(value, possible)}expected {' or '.join(shown(name) for name in possible)}"
+    return f"{_meant(value, key.possible)}expected {' or '.join(shown(name) for name in key.possible)}"
 
 
 def _check_target(target: Settings) -> None:
@@ -300,14 +281,8 @@ def _check_penalty(penalty: Settings) -> None:
         raise InputError("penalty: both weight and weight_fraction are given; keep one of them")
     if penalty["weight"] is None and penalty["weight_fraction"] is None:
         penalty["weight"] = DEFAULT_WEIGHT
-    if penalty["smoothing"] == 0 and penalty["exponent"] != 1:
-        raise InputError(
-            f"penalty.smoothing = 0: with exponent = {penalty['exponent']} the weight at a force of 0 would be infinite; "
-            "give a number above 0 (default 1e-06), or exponent = 1"
-        )
-    for name in ("scale", "knee"):
-        if penalty["name"] in _PENALTIES[name] and penalty[name] is None:
-            raise InputError(f"penalty.{name} is missing: penalty.name = {shown(penalty['name'])} needs it, in newtons")
+    made = make_penalty(penalty)  # refuses what is missing, and numbers that do not go together
+    penalty.update({name: getattr(made, name) for name in parameters(type(made))})
 
 
 def drop_replaced(section: str, keys: dict[str, Any], changed: set[str]) -> None:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from relax.arrays import Floats, lock_arrays
+from relax.arrays import Floats, Mask, lock_arrays
 from relax.errors import InputError
 from relax.files.bytes import read_bytes
 from relax.files.checks import LARGEST, RefusedError, shown
@@ -76,6 +76,7 @@ def load_result(folder: str | os.PathLike[str]) -> StoredResult:
         arrays = _read_arrays(folder / name)
         _check_mesh(arrays)
         _check_springs(arrays)
+        _check_places(arrays, settings["supports"]["always"])
     except InputError as error:
         raise InputError(f"{folder / name}: {error}") from None
     mesh = Mesh(len(arrays["positions"]), arrays["faces"], arrays["edges"])
@@ -196,20 +197,34 @@ def _check_mesh(arrays: Arrays) -> None:
 
 def _check_springs(arrays: Arrays) -> None:
     for name in ("rest_length", "spring_constant"):
-        _refuse_below(name, arrays[name] <= 0, arrays[name], "above 0")
-    weight = arrays["support_weight"]
-    _refuse_below("support_weight", weight < 0, weight, "0 or above")
-    _refuse_below("support_weight", (weight == 0) & arrays["candidates"], weight, "above 0 where a support may stand")
-    if arrays["fixed"].all():
+        _refuse_where(name, arrays[name] <= 0, arrays[name], "a number above 0")
+
+
+def _check_places(arrays: Arrays, always: list[int]) -> None:
+    """Refuse held vertices, candidates and weights that contradict each other or the vertices where supports always stand."""
+    fixed, candidates, weight = arrays["fixed"], arrays["candidates"], arrays["support_weight"]
+    if fixed.all():
         raise InputError("fixed: every vertex is fixed, so there is no membrane")
-    both = arrays["fixed"] & arrays["candidates"]
-    if both.any():
-        raise InputError(f"candidates: vertex {np.argmax(both)} is fixed, so no support can act there")
+    if (fixed & candidates).any():
+        raise InputError(f"candidates: vertex {np.argmax(fixed & candidates)} is fixed, so no support can act there")
+    listed = np.zeros(len(fixed), dtype=bool)
+    if always and max(always) >= len(fixed):
+        raise InputError(
+            f"supports.always in result.json names vertex {max(always)}, but there are vertices 0 to {len(fixed) - 1} here"
+        )
+    listed[always] = True
+    if (listed & ~candidates).any():
+        raise InputError(
+            f"candidates: vertex {np.argmax(listed & ~candidates)} is none, but supports.always in result.json lists it"
+        )
+    _refuse_where("support_weight", weight < 0, weight, "a number 0 or above")
+    _refuse_where("support_weight", listed & (weight != 0), weight, "0, as supports.always lists that vertex")
+    _refuse_where("support_weight", (weight == 0) & candidates & ~listed, weight, "a number above 0 where a support may stand")
 
 
-def _refuse_below(name: str, bad: Any, values: Floats, wanted: str) -> None:
+def _refuse_where(name: str, bad: Mask, values: Floats, wanted: str) -> None:
     if bad.any():
-        raise InputError(f"{name}: entry {np.argmax(bad)} is {values[np.argmax(bad)]}, expected a number {wanted}")
+        raise InputError(f"{name}: entry {np.argmax(bad)} is {values[np.argmax(bad)]}, expected {wanted}")
 
 
 def differing(stored: Mapping[str, Any], judged: Mapping[str, Any]) -> list[str]:

@@ -10,6 +10,7 @@ from relax.arrays import Floats, Ints, Mask, lock_arrays
 from relax.errors import InputError
 
 CORNER_TURN = np.radians(30.0) * (1 + 1e-9)  # a circle drawn with 12 vertices or more has no corners, round-off or not
+CANCELLED = 1e-9  # of the area beside a vertex: what is left of normals that cancel is round-off, and points anywhere
 
 
 @dataclass(frozen=True)
@@ -76,14 +77,37 @@ def _refuse_duplicates(ordered: Ints) -> None:
         raise InputError(f"faces {order[pair]} and {order[pair + 1]} have the same vertices: remove one of them")
 
 
-def _sides(faces: Ints) -> tuple[Ints, Ints]:
-    """Sides of all faces as (k, 2) with a < b, and the face of each (k,)."""
+def _directed_sides(faces: Ints) -> tuple[Ints, Ints]:
+    """Sides of all faces as (k, 2), in the direction in which the face runs round, and the face of each (k,)."""
     corners = np.where(faces[:, 3:] < 0, faces[:, [0, 1, 2, 0]], faces)
     starts = np.concatenate([corners[:, i] for i in range(4)])
     ends = np.concatenate([corners[:, (i + 1) % 4] for i in range(4)])
     real = starts != ends
     owner = np.tile(np.arange(len(faces)), 4)
-    return np.sort(np.column_stack([starts, ends])[real], axis=1), owner[real]
+    return np.column_stack([starts, ends])[real], owner[real]
+
+
+def _sides(faces: Ints) -> tuple[Ints, Ints]:
+    """Sides of all faces as (k, 2) with a < b, and the face of each (k,)."""
+    sides, owner = _directed_sides(faces)
+    return np.sort(sides, axis=1), owner
+
+
+def against_each_other(mesh: Mesh) -> tuple[int, int] | None:
+    """Two faces that run along a side in the same direction, so that their normals are on two sides of the membrane."""
+    sides, owner = _directed_sides(mesh.faces)
+    key = sides[:, 0] * mesh.vertices + sides[:, 1]
+    order = np.argsort(key, kind="stable")
+    again = np.flatnonzero(np.diff(key[order]) == 0)
+    return (int(owner[order[again[0]]]), int(owner[order[again[0] + 1]])) if again.size else None
+
+
+def edge_numbers(mesh: Mesh, pairs: Ints) -> Ints:
+    """The edge between two vertices (k, 2) in either order, as its place in `mesh.edges` (k,); -1 where there is none."""
+    key = mesh.edges[:, 0] * mesh.vertices + mesh.edges[:, 1]
+    wanted = pairs.min(axis=1) * mesh.vertices + pairs.max(axis=1)
+    found = np.minimum(np.searchsorted(key, wanted), len(key) - 1)
+    return np.where(key[found] == wanted, found, -1)
 
 
 def grid_mesh(rows: int, columns: int, diagonals: str) -> Mesh:
@@ -108,22 +132,37 @@ def grid_mesh(rows: int, columns: int, diagonals: str) -> Mesh:
     return mesh_from_faces(index.size, faces)
 
 
-def face_areas(positions: Floats, faces: Ints) -> Floats:
-    """Area of each face (F,): half the cross product of a triangle's sides or of a quad's diagonals."""
+def _face_vectors(positions: Floats, faces: Ints) -> Floats:
+    """Area times normal of each face (F, 3): half the cross product of a triangle's sides or of a quad's diagonals."""
     triangle = faces[:, 3:] < 0
     last = np.where(triangle[:, 0], faces[:, 0], faces[:, 3])
     one = positions[faces[:, 2]] - positions[faces[:, 0]]
     other = np.where(triangle, positions[faces[:, 1]] - positions[faces[:, 0]], positions[last] - positions[faces[:, 1]])
-    return 0.5 * np.linalg.norm(np.cross(one, other), axis=1)
+    return 0.5 * np.cross(one, other)
+
+
+def face_areas(positions: Floats, faces: Ints) -> Floats:
+    """Area of each face (F,)."""
+    return np.linalg.norm(_face_vectors(positions, faces), axis=1)
 
 
 def vertex_areas(positions: Floats, mesh: Mesh) -> Floats:
     """Share of the adjacent faces' area (V,): a third of each triangle, a quarter of each quad, so that they add up."""
     real = mesh.faces >= 0
     share = face_areas(positions, mesh.faces) / real.sum(axis=1)
-    total = np.zeros(mesh.vertices)
-    np.add.at(total, mesh.faces[real], np.repeat(share, real.sum(axis=1)))
-    return total
+    return np.asarray(np.bincount(mesh.faces[real], np.repeat(share, real.sum(axis=1)), mesh.vertices), dtype=float)
+
+
+def vertex_normals(positions: Floats, mesh: Mesh) -> Floats:
+    """Unit normals (V, 3), the mean of the adjacent faces' weighted by area; 0 where they cancel or no face has an area."""
+    vectors = _face_vectors(positions, mesh.faces)
+    corner = mesh.faces >= 0
+    at, of = mesh.faces[corner], np.repeat(np.arange(len(mesh.faces)), corner.sum(axis=1))
+    total = np.column_stack([np.bincount(at, vectors[of, axis], minlength=mesh.vertices) for axis in range(3)])
+    beside = np.bincount(at, np.linalg.norm(vectors, axis=1)[of], minlength=mesh.vertices)
+    length = np.linalg.norm(total, axis=1)
+    there = length > CANCELLED * beside
+    return np.where(there[:, None], total / np.where(there, length, 1.0)[:, None], 0.0)
 
 
 def edge_areas(positions: Floats, mesh: Mesh) -> Floats:
@@ -133,23 +172,16 @@ def edge_areas(positions: Floats, mesh: Mesh) -> Floats:
     """
     sides, owner = _sides(mesh.faces)
     areas = face_areas(positions, mesh.faces)
-    key = mesh.edges[:, 0] * mesh.vertices + mesh.edges[:, 1]
-
-    def edge_index(pairs: Ints) -> tuple[Ints, Mask]:
-        wanted = pairs[:, 0] * mesh.vertices + pairs[:, 1]
-        found = np.minimum(np.searchsorted(key, wanted), len(key) - 1)
-        return found, key[found] == wanted
-
     quads = np.flatnonzero(mesh.faces[:, 3] >= 0)
     crossed = np.zeros(len(mesh.faces), dtype=bool)
     total = np.zeros(len(mesh.edges))
-    diagonals = [np.sort(mesh.faces[quads][:, pair], axis=1) for pair in ([0, 2], [1, 3])]
-    found = [edge_index(pair) for pair in diagonals]
-    crossed[quads] = found[0][1] & found[1][1]
-    for index, there in found:
-        total += np.bincount(index[there], 0.5 * areas[quads][there], minlength=len(total))
+    diagonals = [edge_numbers(mesh, mesh.faces[quads][:, pair]) for pair in ([0, 2], [1, 3])]
+    crossed[quads] = (diagonals[0] >= 0) & (diagonals[1] >= 0)
+    for edge in diagonals:
+        there = edge >= 0
+        total += np.bincount(edge[there], 0.5 * areas[quads][there], minlength=len(total))
     share = np.where(crossed, 0.5, 1.0) * areas
-    return total + np.bincount(edge_index(sides)[0], share[owner], minlength=len(total))
+    return total + np.bincount(edge_numbers(mesh, sides), share[owner], minlength=len(total))
 
 
 def boundary_vertices(mesh: Mesh) -> Mask:

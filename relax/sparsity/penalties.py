@@ -1,26 +1,41 @@
 """Penalties on the size t = |p_g| of a support force: profiles phi(t), t >= 0, without the weight k_sparse.
 
-A profile is three functions of t and one of reweighting; `phi' >= 0` is all that the solver needs. The reweighting weight is
-one rule for all of them, the largest slope from t on:
+A profile has phi(0) = 0, phi' >= 0, and phi(sqrt u) concave in u. Its reweighting weight is one rule for all of them, the
+largest slope from t on:
 
     w(t) = sup of phi'(s) over s >= t,
 
 which is phi' itself where phi is concave. It is the slope of psi(t) = integral of w from 0 to t, concave, so each convex
 step with weights w(|p|) majorises psi; and psi differs from phi by a constant once t is past the point of largest slope, so
 what reweighted l1 settles on is stationary for phi too, and where nothing stands its test is the judge's own (off_support).
+
+A new penalty is one class in a file of its own and one word in PENALTIES; `relax.check_penalty` tells whether it is right.
 """
 
-from dataclasses import dataclass
-from typing import Protocol
+from collections.abc import Mapping
+from dataclasses import MISSING, fields
+from typing import Any, Protocol
 
 import numpy as np
 
 from relax.arrays import Floats
 from relax.errors import InputError
+from relax.sparsity.count import Count
+from relax.sparsity.folded import MCP, SCAD
+from relax.sparsity.log_sum import LogSum
+from relax.sparsity.parameters import parameters
+from relax.sparsity.power import GroupLasso, Power
+
+__all__ = ["MCP", "PENALTIES", "SCAD", "Count", "GroupLasso", "LogSum", "Penalty", "Power", "Proximal"]
+__all__ += ["group_prox", "is_convex", "make_penalty", "steepest"]
 
 
 class Penalty(Protocol):
-    """A profile phi with phi(0) = 0, of force magnitudes t >= 0 in newtons; arrays in, arrays of the same shape out."""
+    """A profile phi with phi(0) = 0, of force magnitudes t >= 0 in newtons; arrays in, float arrays of the same shape out.
+
+    A profile that is flat on large forces (count, MCP, SCAD) also has `parabola(size, width)` and `smoothed(size, width)`, its
+    own smoothing for reweighted least squares (relax/sparsity/surrogates.py).
+    """
 
     @property
     def name(self) -> str:
@@ -36,11 +51,11 @@ class Penalty(Protocol):
         ...
 
     def curvature(self, size: Floats) -> Floats:
-        """phi''(t), t > 0."""
+        """phi''(t), t > 0; at a kink of the slope the value on either side."""
         ...
 
     def weight(self, size: Floats) -> Floats:
-        """w(t): the largest slope from t on, and so the largest of all at t = 0."""
+        """w(t): the largest slope from t on, and so the largest of all at t = 0; infinite where phi jumps."""
         ...
 
     @property
@@ -49,105 +64,70 @@ class Penalty(Protocol):
         ...
 
 
-@dataclass(frozen=True)
-class GroupLasso:
-    """phi(t) = t: the sum of force magnitudes (equation 3 of the paper with alpha = 1), convex, biased towards small forces."""
+class Proximal(Penalty, Protocol):
+    """A penalty that proximal methods can use; all of relax's own are."""
 
-    name: str = "group-lasso"
-
-    def value(self, size: Floats) -> Floats:
-        return np.asarray(size, dtype=float)
-
-    def slope(self, size: Floats) -> Floats:
-        return np.ones_like(size)
-
-    def curvature(self, size: Floats) -> Floats:
-        return np.zeros_like(size)
-
-    def weight(self, size: Floats) -> Floats:
-        return np.ones_like(size)
-
-    @property
-    def resolution(self) -> float:
-        return 0.0
+    def prox(self, size: Floats, step: Floats | float) -> Floats:
+        """The t >= 0 of least (t - size)^2 / 2 + step phi(t), the global one for every step > 0; the smallest of equals."""
+        ...
 
 
-@dataclass(frozen=True)
-class Power:
-    """phi(t) = (t^2 + eps)^(alpha/2) - eps^(alpha/2): the paper's smoothed l2^alpha (section 3.1), zero at zero.
+PENALTIES: dict[str, type[Any]] = {kind.name: kind for kind in (GroupLasso, Power, LogSum, MCP, SCAD, Count)}
+
+
+def is_convex(penalty: Penalty) -> bool:
+    """Whether one convex step is the whole penalty: its weight is the same for every force, 0 N and 1e30 N alike."""
+    none, huge = penalty.weight(np.array([0.0, 1e30]))  # the format takes no larger number
+    return bool(none == huge)
+
+
+def steepest(penalty: Penalty) -> float:
+    """The largest slope of all, w(0): what a dual must exceed for a support to enter; infinite where phi jumps at zero."""
+    return float(penalty.weight(np.zeros(1))[0])
+
+
+def group_prox(penalty: Penalty, vectors: Floats, step: Floats | float) -> Floats:
+    """The v (m, c) of least |v - vectors|^2 / 2 + sum of step_g phi(|v_g|): each row keeps its direction and is shortened.
 
     Parameters
     ----------
-    exponent : float
-        alpha, 0 < alpha <= 1.
-    smoothing : float
-        eps in newtons squared; 0 only with alpha = 1, else the slope at 0 is infinite.
+    penalty : Penalty
+        One that has a `prox`.
+    vectors : (m, c)
+    step : (m,) or float
 
     Raises
     ------
     InputError
-        A parameter out of its range.
-
-    Notes
-    -----
-    phi is convex up to t1 = sqrt(eps / (1 - alpha)), where its slope is largest, and concave from there on (alpha = 1:
-    convex throughout). So a force smaller than t1 is one that the smoothing made, not a support.
+        The penalty has no prox.
     """
-
-    exponent: float = 0.5
-    smoothing: float = 1e-6
-    name: str = "power"
-
-    def __post_init__(self) -> None:
-        if not 0 < self.exponent <= 1:
-            raise InputError(f"penalty.exponent is {self.exponent}: expected a number above 0 and at most 1")
-        if not (self.smoothing > 0 or (self.smoothing == 0 and self.exponent == 1)):
-            raise InputError(
-                f"penalty.smoothing is {self.smoothing}: expected a number above 0 (0 only with exponent 1, else the slope at 0 "
-                "is infinite)"
-            )
-
-    def value(self, size: Floats) -> Floats:
-        half = self.exponent / 2
-        if self.smoothing == 0:
-            return np.asarray(size, dtype=float)
-        # the difference of the two powers without its cancellation at small forces
-        return self.smoothing**half * np.expm1(half * np.log1p(np.square(size) / self.smoothing))
-
-    def slope(self, size: Floats) -> Floats:
-        if self.smoothing == 0:
-            return np.ones_like(size)
-        return self.exponent * size * (np.square(size) + self.smoothing) ** (self.exponent / 2 - 1)
-
-    def curvature(self, size: Floats) -> Floats:
-        if self.smoothing == 0:
-            return np.zeros_like(size)
-        square = np.square(size)
-        factor = self.exponent * (square + self.smoothing) ** (self.exponent / 2 - 2)
-        return factor * (self.smoothing - (1 - self.exponent) * square)
-
-    def weight(self, size: Floats) -> Floats:
-        if self.exponent == 1:
-            return np.ones_like(size)
-        return self.slope(np.maximum(size, self.resolution))
-
-    @property
-    def resolution(self) -> float:
-        if self.exponent == 1:
-            return 0.0
-        return float(np.sqrt(self.smoothing / (1 - self.exponent)))
+    prox = getattr(penalty, "prox", None)
+    if prox is None:
+        raise InputError(
+            f"penalty {penalty.name!r} has no prox: define prox(size, step), the t >= 0 at which (t - size)^2 / 2 + step * "
+            "value(t) is least, or use a method that needs none"
+        )
+    size = np.hypot.reduce(np.asarray(vectors, dtype=float), axis=1)
+    kept = prox(size, step) / np.where(size > 0, size, 1.0)
+    return kept[:, None] * vectors
 
 
-def make_penalty(name: str, exponent: float | None, smoothing: float | None) -> Penalty:
-    """The penalty of a scene's [penalty] section.
+def make_penalty(settings: Mapping[str, Any]) -> Penalty:
+    """The penalty of a scene's [penalty] section; keys that are absent or None take their defaults, others are ignored.
 
     Raises
     ------
     InputError
-        No penalty of this name can be made from a file alone.
+        No penalty has this name, or a parameter is missing or out of its range.
     """
-    if name == "group-lasso":
-        return GroupLasso()
-    if name == "power":
-        return Power(exponent if exponent is not None else 0.5, smoothing if smoothing is not None else 1e-6)
-    raise InputError(f'penalty.name is {name!r}: expected "group-lasso" or "power", or hand a penalty of your own to Problem')
+    name = settings.get("name")
+    if name not in PENALTIES:
+        known = ", ".join(f'"{known}"' for known in PENALTIES)
+        raise InputError(f"penalty.name is {name!r}: expected one of {known}, or hand a penalty of your own to Problem")
+    kind = PENALTIES[name]
+    given = {key: settings[key] for key in parameters(kind) if settings.get(key) is not None}
+    for field in fields(kind):
+        if field.name not in given and field.default is MISSING:
+            words = parameters(kind)[field.name].words
+            raise InputError(f'penalty.{field.name} is missing: penalty.name = "{name}" needs it; give {words}')
+    return kind(**given)

@@ -1,4 +1,4 @@
-"""Methods beside the sequential one, by name: each leads from a start to rounded supports, and the judge ranks them alike.
+"""Methods by name: each leads from a start to rounded supports, and the judge ranks them alike.
 
 A method is a function of a problem, a start and the journal of the run, to which it hands every step (`journal(record)`, where
 `refit.figures` makes the record). It gives the shape after rounding and the one before. Adding one: a file here, a line below.
@@ -13,8 +13,14 @@ if TYPE_CHECKING:
     from relax.design.starts import Start
     from relax.design.trace import Journal
 
-METHODS: dict[str, str] = {}  # name in scene files: where the function is, imported when it is used
-SEQUENTIAL = "sequential"
+METHODS: dict[str, str] = {  # name in scene files: where the function is, imported when it is used; the default first
+    "sequential": "relax.design.methods.sequential:SEQUENTIAL",
+    "reweighted-l1": "relax.design.methods.sequential:REWEIGHTED_L1",
+    "irls": "relax.design.methods.irls:irls",
+    "lagrangian": "relax.design.methods.lagrangian:lagrangian",
+    "greedy": "relax.design.methods.greedy:greedy",
+    "exact": "relax.design.methods.exact:exact",
+}
 
 
 class Method(Protocol):
@@ -25,15 +31,8 @@ class Method(Protocol):
         ...
 
 
-def method_names() -> tuple[str, ...]:
-    """Every name that solver.method takes, the default first."""
-    return (SEQUENTIAL, *METHODS)
-
-
-def method_by_name(name: str) -> "Method | None":
-    """The function; None for the sequential method, which the race of starts knows itself."""
-    if name == SEQUENTIAL:
-        return None
+def method_by_name(name: str) -> Method:
+    """The function that a scene's solver.method names."""
     module, function = METHODS[name].split(":")
     found: Method = getattr(import_module(module), function)
     return found

@@ -1,0 +1,199 @@
+"""Commands that look at more than one answer, or more closely at one: path, compare, explain."""
+
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import click
+
+from relax.errors import InputError
+from relax.screen import COMPARE_COLUMNS, EXPLAIN_COLUMNS, PATH_COLUMNS, print_table, progress, warn
+from relax.shell import (
+    DONE,
+    INTERRUPTED,
+    NOT_CONVERGED,
+    hold_interrupts,
+    output_option,
+    quiet_option,
+    rows_option,
+    set_option,
+    start_of,
+)
+
+if TYPE_CHECKING:
+    from relax.design.compare import Row
+    from relax.design.explain import Explanation
+    from relax.design.solve import Design
+    from relax.files import StoredResult
+
+Kind = TypeVar("Kind")
+
+_scene = click.argument("scene", metavar="SCENE.toml", type=click.Path(path_type=Path))
+
+
+@click.command(epilog="\b\nExample: relax path data/bumps.toml --count 5")
+@_scene
+@click.option("--count", metavar="N", type=click.IntRange(min=0), help="The best fit with at most N supports.")
+@click.option("--rms", metavar="D", type=float, help="The fewest supports within an rms distance of D metres.")
+@output_option("<scene name>-path in the current folder; ours in it is replaced, other files are kept")
+@set_option
+@rows_option
+@quiet_option
+def path(scene: Path, count: int | None, rms: float | None, output: Path | None, **options: Any) -> int:
+    """Find the trade-off between few supports and a close fit.
+
+    One design a weight, from "nothing stands" down. The one at the knee of the curve, or the one that --count or --rms asks for,
+    is a result folder of its own, best/. Exit status 1 where that is not reached.
+    """
+    from relax.design.path import path as designs_of
+    from relax.design.problem import Problem
+    from relax.design.trade_off import choose, trade_off
+    from relax.files import load_scene
+    from relax.files.tables import check_path_output, path_rows, rows_as_json
+
+    folder = output or Path(f"{scene.stem}-path")
+    check_path_output(folder)
+    problem = Problem(load_scene(scene, options["assignments"]))
+    with progress(quiet=options["quiet"]) as callback:
+        found, broken = _gathered(designs_of(problem, count=count, rms=rms, callback=callback))
+    index, reached = choose(found, count, rms)
+    rows = path_rows(found, trade_off(found), index)
+    with hold_interrupts() as came:
+        _write_path(folder, found, index, rows)
+    best = found[index]
+    if options["as_json"]:
+        click.echo(rows_as_json(rows), nl=False)
+    elif not options["quiet"]:
+        print_table(rows, PATH_COLUMNS)
+        asked = "the knee of the curve" if count is None and rms is None else f"at most {count} supports" if rms is None else ""
+        click.echo(f"{problem.scene.title}: {asked or f'rms distance at most {rms:g} m'}: {best}")
+        click.echo(f"written to {folder}/, this design to {folder / 'best'}/")
+    warn(dict.fromkeys([*problem.scene.warnings, *best.certificate.warnings, *([] if reached else [found[-1].stop])]))
+    if broken or came or found[-1].interrupted:
+        return INTERRUPTED
+    return DONE if reached and best.certificate.converged else NOT_CONVERGED
+
+
+def _gathered(items: Iterable[Kind], each: Callable[[Kind], None] = lambda _: None) -> tuple[list[Kind], bool]:
+    """What comes until Ctrl-C, and whether that ended it; nothing at all is the caller's interrupt."""
+    found: list[Kind] = []
+    try:
+        for item in items:
+            found.append(item)
+            each(item)
+    except KeyboardInterrupt:
+        if not found:
+            raise
+        return found, True
+    return found, False
+
+
+def _write_path(folder: Path, found: "list[Design]", index: int, rows: list[dict[str, Any]]) -> None:
+    from relax.design.trade_off import trade_off
+    from relax.files.tables import write_path
+    from relax.plots.curve import draw_trade_off
+    from relax.plots.picture import draw_picture
+
+    best, curve, title = found[index], trade_off(found), found[0].problem.scene.title
+    curves = {"trade-off.png": lambda path: draw_trade_off(curve, path, title, index)}
+    write_path(folder, rows, best, curves, {"picture.png": lambda path: draw_picture(best, path)})
+
+
+@click.command(epilog="\b\nExample: relax compare data/tent-noisy.toml")
+@_scene
+@output_option("<scene name>-compare in the current folder; ours in it is replaced, other files are kept")
+@set_option
+@rows_option
+@quiet_option
+def compare(scene: Path, output: Path | None, **options: Any) -> int:
+    """Run every penalty, method and back-end on one scene.
+
+    All from the same start. Each answer is pruned and refitted under the paper's penalty, and judged in its objective; a run that
+    cannot be made is a row that says why.
+    """
+    from relax.design.compare import compare as rows_of
+    from relax.design.compare import ranked
+    from relax.design.problem import Problem
+    from relax.files import load_scene
+    from relax.files.folders import check_folder
+    from relax.files.tables import COMPARE_FILES, rows_as_json, write_comparison
+
+    folder = output or Path(f"{scene.stem}-compare")
+    check_folder(folder, COMPARE_FILES)
+    problem = Problem(load_scene(scene, options["assignments"]))
+    start = start_of(scene, problem.scene)
+
+    def say(row: "Row") -> None:
+        if not options["quiet"]:
+            click.echo(f"{row.penalty}, {row.method}, {row.backend}: {row.stop}", err=True)
+
+    found, broken = _gathered(rows_of(problem, start), say)
+    rows = [row.flat() for row in ranked(found)]
+    with hold_interrupts() as came:
+        write_comparison(folder, rows)
+    if options["as_json"]:
+        click.echo(rows_as_json(rows), nl=False)
+    elif not options["quiet"]:
+        print_table(rows, COMPARE_COLUMNS)
+        click.echo(f"{problem.scene.title}: every answer refitted and judged under the paper's penalty; written to {folder}/")
+    warn(dict.fromkeys(problem.scene.warnings))
+    return INTERRUPTED if broken or came or found[-1].interrupted else DONE
+
+
+@click.command(epilog="\b\nExample: relax explain tent-result")
+@click.argument("result", metavar="RESULT_DIR", type=click.Path(path_type=Path))
+@output_option("nothing is written")
+@click.option("--gains", is_flag=True, help="Also what a new mast at each candidate promises: a solve each.")
+@rows_option
+@quiet_option
+def explain(result: Path, output: Path | None, *, gains: bool, **options: Any) -> int:
+    """Say what each support of a result is worth.
+
+    Each is taken out and the others are refitted. Writes nothing without -o. With it: the field of what a mast elsewhere would be
+    worth, too. Exit status 1 where the result did not converge.
+    """
+    from dataclasses import asdict
+
+    from relax.design.explain import explain as explained
+    from relax.design.problem import Problem
+    from relax.files import load_result
+    from relax.files.folders import check_folder
+    from relax.files.tables import EXPLAIN_FILES, rows_as_json
+
+    if output is not None:
+        check_folder(output, EXPLAIN_FILES)
+    if gains and output is None:
+        raise InputError("--gains: the field it makes is only written: name a folder with -o")
+    stored = load_result(result)
+    found = explained(Problem(stored.scene), stored.positions, stored.forces)
+    if output is not None:
+        with hold_interrupts() as came:
+            _write_explanation(output, stored, found, gains=gains)
+        if came:
+            return INTERRUPTED
+    rows = [asdict(support) for support in found.supports]
+    if options["as_json"]:
+        click.echo(rows_as_json(rows), nl=False)
+    elif not options["quiet"]:
+        print_table(rows, EXPLAIN_COLUMNS)
+        click.echo(f"{stored.scene.title}: {found.assurance.sentence}")
+        if output is not None:
+            click.echo(f"written to {output}/")
+    warn(found.certificate.warnings)
+    return DONE if found.certificate.converged else NOT_CONVERGED
+
+
+def _write_explanation(folder: Path, stored: "StoredResult", found: "Explanation", *, gains: bool) -> None:
+    from relax.design.explain import mast_values
+    from relax.design.problem import Problem
+    from relax.files.tables import write_explanation
+    from relax.plots.field import FIT, PULL, draw_field
+
+    fields, look = {"pull": found.pull}, PULL
+    if gains:
+        values = mast_values(Problem(stored.scene), stored.positions, stored.forces)
+        fields |= {"fit": values.fit, "gain": values.gain, "force": values.force}
+        look = FIT
+    heads = [support.vertex for support in found.supports]
+    picture = {"values.png": lambda path: draw_field(stored.scene, fields[look.name], heads, path, look)}
+    write_explanation(folder, found, stored.scene, stored.positions, fields, picture)
