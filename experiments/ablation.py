@@ -14,16 +14,16 @@ lasso, `four` are four membranes in a row. Exit status 1 if the supports differ,
 the ledger of the run does not say what was skipped.
 
 Finding (one run, rslab; ratios move by a tenth or two between runs): every answer keeps its supports, and its objective to
-1e-14. At 2,500 vertices a force-density net takes 2.6 times as long when solved like any other membrane, 2.0 times without the
-scalar factorisation alone; that it is made once for all shapes hardly counts beside that. Columns for all candidates cost 3.2
-times the run at 625 vertices already, full cone programs 2.2 times. Other starts for a target that is a tensile surface would
-cost 3.8 times; other first weights for the group lasso, and a third start after two that agree, 1.4; a new factorisation at
-each shape 1.3 to 1.5; a new analysis for each of them and a second round 1.3; columns and curvature anew 1.2; unknowns for the
-fixed vertices 1.1; a trial of every stiffness nothing that can be measured. Four membranes in one scene take 3.3 times as long
-in one piece, with noise no longer; four nets take a sixth less in one piece, because the one factorisation of the whole, which
-the judge needs, is then shared. One of each orbit saves a tenth where the target is planted and the run is one factorisation
-anyway. Looking for parts, symmetry or a planted target where there is none costs nothing that can be measured. Without cvxpy
-and pyplot a process takes a third of the time.
+1e-14. At 2,500 vertices a force-density net takes 2.9 times as long when solved like any other membrane, 1.9 times without
+the scalar factorisation alone; that it is made once for all shapes hardly counts beside that. Columns for all candidates cost
+3.6 times the run at 625 vertices already, full cone programs 2.2 times; three columns for an upright support 1.2 times. Other
+starts for a target that is a tensile surface would cost 2.5 times; other first weights for the group lasso, and a third start
+after two that agree, 1.5; a new factorisation at each shape 1.3 to 1.4; a new analysis for each of them and a second round
+1.2 to 1.3; columns and curvature anew 1.1; unknowns for the fixed vertices 1.1; a trial of every stiffness nothing that can
+be measured. Four membranes in one scene take 4.4 times as long in one piece, with noise 1.1; four nets take a fifth less in
+one piece, because the one factorisation of the whole, which the judge needs, is then shared. One of each orbit saves a fifth
+where the target is planted and the run is one factorisation anyway. Looking for parts, symmetry or a planted target where
+there is none costs nothing that can be measured. Without cvxpy and pyplot a process takes a third of the time.
 """
 
 import statistics
@@ -182,7 +182,7 @@ def all_columns() -> AbstractContextManager[Any]:
 
 def full_cone_programs() -> AbstractContextManager[Any]:
     """Convex steps with all candidates at once, in the place of the working set."""
-    return patch.dict(BACKENDS, {"working-set": BACKENDS["clarabel"]})
+    return patch("relax.design.methods.sequential.working_set", BACKENDS["clarabel"])
 
 
 def new_curvature() -> AbstractContextManager[Any]:

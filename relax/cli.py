@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from relax.design.methods import METHODS
 from relax.errors import InputError, RelaxError
 from relax.screen import print_check, print_design, progress, warn
 from relax.shell import (
@@ -30,6 +31,9 @@ from relax.studies import compare, explain, path
 if TYPE_CHECKING:
     from relax.design.solve import Design
 
+# the registries import scipy, which help does not wait for; a test holds these to them
+BACKENDS = "auto, working-set, clarabel, osqp (vertical supports), cvxpy (readable, slow)"
+PENALTIES = "power (the paper's), group-lasso, log-sum, mcp, scad, count"
 EXAMPLE = """\b
 Example, from the project's folder:
     relax solve data/tent.toml        writes tent-result/
@@ -101,9 +105,9 @@ def app() -> None:
 @app.command(epilog="\b\nExample: relax solve data/tent.toml --set penalty.weight=0.02 -o tent-light")
 @click.argument("scene", metavar="SCENE.toml", type=click.Path(path_type=Path))
 @output_option("<scene name>-result in the current folder; ours in it is replaced, other files are kept")
-@click.option("--method", metavar="M", help='Solver: "sequential".')
-@click.option("--backend", metavar="B", help='Convex step: "auto", "working-set", "clarabel" or "cvxpy" (readable, slow).')
-@click.option("--penalty", metavar="P", help='"power" (the paper\'s) or "group-lasso".')
+@click.option("--method", metavar="M", help=f"Solver: {', '.join(METHODS)}.")
+@click.option("--backend", metavar="B", help=f"Who solves a convex step: {BACKENDS}.")
+@click.option("--penalty", metavar="P", help=f"{PENALTIES}; some need parameters, given with --set.")
 @click.option("--weight", metavar="K", type=float, help="Weight of the penalty: larger means fewer supports.")
 @click.option("--exponent", metavar="A", type=float, help="Exponent of the power penalty, above 0 and at most 1.")
 @click.option("--start", metavar="DIR", help='A result folder to start from, or "auto", "target", "heavy".')

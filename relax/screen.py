@@ -14,14 +14,15 @@ if TYPE_CHECKING:
     from relax.design.solve import Design
     from relax.files import StoredResult
 
+CONVERGED = "converged"  # what a run says that needs no further word
 MOST_ROWS = 24  # of a table on the screen
 Column = tuple[str, str, str]  # a field of a row, its heading with the unit, and how a number is written
+# the figures that fit in 100 columns; the files have all of them
 PATH_COLUMNS: tuple[Column, ...] = (
     ("weight", "weight", ".3g"),
     ("supports", "supports", "d"),
-    ("rms_distance", "rms distance, m", ".4g"),
+    ("rms_distance", "rms, m", ".4g"),
     ("objective", "objective", ".6g"),
-    ("distance", "distance", ".4g"),
     ("penalty", "penalty", ".4g"),
     ("total_force", "force, N", ".4g"),
     ("seconds", "seconds", ".2f"),
@@ -33,23 +34,18 @@ COMPARE_COLUMNS: tuple[Column, ...] = (
     ("method", "method", ""),
     ("backend", "back-end", ""),
     ("objective", "objective", ".6g"),
-    ("over_best", "over best", ".1e"),
+    ("over_best", "above", ".1e"),
     ("supports", "supports", "d"),
-    ("rms_distance", "rms distance, m", ".4g"),
-    ("total_force", "force, N", ".4g"),
-    ("stationarity", "stationarity", ".1e"),
-    ("off_support", "off support", ".2g"),
+    ("rms_distance", "rms, m", ".4g"),
     ("seconds", "seconds", ".2f"),
-    ("stop", "stop", ""),
 )
 EXPLAIN_COLUMNS: tuple[Column, ...] = (
     ("vertex", "vertex", "d"),
     ("force", "force, N", ".4g"),
     ("dual", "dual", ".4g"),
-    ("slope", "slope of R", ".4g"),
     ("price", "price", ".4g"),
-    ("loss_distance", "distance without it", "+.4g"),
-    ("loss_objective", "objective without it", "+.4g"),
+    ("loss_distance", "+ distance", "+.4g"),
+    ("loss_objective", "+ objective", "+.4g"),
     ("estimate", "estimate", "+.4g"),
     ("share", "share", ".1%"),
 )
@@ -125,16 +121,22 @@ def print_table(rows: Sequence[Mapping[str, Any]], columns: Sequence[Column]) ->
     cells = [[heading for _, heading, _ in columns]]
     cells += [[_shown(row[name], form) for name, _, form in columns] for row in rows]
     widths = [max(len(line[index]) for line in cells) for index in range(len(columns))]
-    # the last column may be a sentence: it is not filled up
-    text = [index == len(columns) - 1 or not form for index, (_, _, form) in enumerate(columns)]
+    text = [not form for _, _, form in columns]
     for number, line in enumerate(cells):
         filled = [cell.ljust(width) if left else cell.rjust(width) for cell, width, left in zip(line, widths, text, strict=True)]
-        filled[-1] = filled[-1].rstrip()
         click.echo(f"| {' | '.join(filled)} |")
         if number == 0:
             dashes = ["-" * width if left else "-" * (width - 1) + ":" for width, left in zip(widths, text, strict=True)]
-            dashes[-1] = "---"
             click.echo(f"| {' | '.join(dashes)} |")
+
+
+def print_notes(rows: Sequence[Mapping[str, Any]]) -> None:
+    """What the table of a comparison leaves out: why a run gave no answer, or one that the judge does not accept."""
+    for row in rows:
+        said = [] if row["stop"] == CONVERGED else [row["stop"]]
+        said += ["the judge does not accept the refitted answer"] if row["converged"] is False else []
+        if said:
+            click.echo(f"{row['penalty']}, {row['method']}, {row['backend']}: {'; '.join(said)}")
 
 
 def _shown(value: Any, form: str) -> str:

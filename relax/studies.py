@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from relax.errors import InputError
-from relax.screen import COMPARE_COLUMNS, EXPLAIN_COLUMNS, PATH_COLUMNS, print_table, progress, warn
+from relax.screen import COMPARE_COLUMNS, EXPLAIN_COLUMNS, PATH_COLUMNS, print_notes, print_table, progress, warn
 from relax.shell import (
     DONE,
     INTERRUPTED,
@@ -135,7 +135,9 @@ def compare(scene: Path, output: Path | None, **options: Any) -> int:
         click.echo(rows_as_json(rows), nl=False)
     elif not options["quiet"]:
         print_table(rows, COMPARE_COLUMNS)
-        click.echo(f"{problem.scene.title}: every answer refitted and judged under the paper's penalty; written to {folder}/")
+        print_notes(rows)
+        click.echo(f"{problem.scene.title}: every answer refitted and judged under the paper's penalty")
+        click.echo(f"above: by how much, as a share of the lowest objective; all figures are written to {folder}/")
     warn(dict.fromkeys(problem.scene.warnings))
     return INTERRUPTED if broken or came or found[-1].interrupted else DONE
 
@@ -176,6 +178,9 @@ def explain(result: Path, output: Path | None, *, gains: bool, **options: Any) -
         click.echo(rows_as_json(rows), nl=False)
     elif not options["quiet"]:
         print_table(rows, EXPLAIN_COLUMNS)
+        click.echo(
+            "+: the rise of distance and objective without it, the others refitted; estimate: of + objective, by the model"
+        )
         click.echo(f"{stored.scene.title}: {found.assurance.sentence}")
         if output is not None:
             click.echo(f"written to {output}/")

@@ -2,6 +2,7 @@ import errno
 import importlib.metadata
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -13,9 +14,12 @@ from folders import bump, write_scene
 
 import relax.cli
 from relax.cli import run
+from relax.convex.backends import BACKENDS
 from relax.design.form import NOTES
+from relax.design.methods import METHODS
 from relax.files import load_result
 from relax.membrane.formers import FORMERS
+from relax.sparsity.penalties import PENALTIES
 
 QUICK = "[penalty]\nweight = 0.02\n"
 
@@ -363,3 +367,10 @@ def test_help_does_not_import_what_is_slow():
     code = "import sys, relax.cli; print(sorted({'cvxpy', 'matplotlib', 'meshio', 'PIL'} & set(sys.modules)))"
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert said.stdout == "[]\n"
+
+
+def test_help_names_every_method_back_end_and_penalty(capsys):
+    assert run(["solve", "--help"]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    for name in (*METHODS, "auto", *BACKENDS, *PENALTIES):
+        assert re.search(rf"[ ,]{name}[ ,.;]", said), name

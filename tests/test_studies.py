@@ -11,6 +11,7 @@ from folders import write_scene
 
 import relax.design.compare
 import relax.design.path
+from relax import screen
 from relax.cli import run
 from relax.files import load_result
 
@@ -237,3 +238,20 @@ def test_explain_says_so_where_a_result_did_not_converge(here, capfd):
     capfd.readouterr()
     assert run(["explain", "hill-result"]) == 1
     assert "nothing is known of it" in capfd.readouterr().out
+
+
+def test_tables_fit_in_100_columns(solved, capfd):
+    assert run(["compare", "hill.toml", "--quiet"]) == 0
+    assert run(["path", "hill.toml"]) == 0 and run(["explain", "hill-result"]) == 0
+    lines = capfd.readouterr().out.splitlines()
+    assert max(len(line) for line in lines if line.startswith("|")) <= 100
+
+
+def test_a_comparison_says_below_its_table_what_went_wrong(here, capfd):
+    assert run(["compare", "hill.toml"]) == 0
+    out = capfd.readouterr().out
+    assert "power, exact, auto: the exact method needs a membrane whose shape is linear" in out
+    assert "power, irls, auto: " not in out
+    row = {"penalty": "mcp", "method": "irls", "backend": "auto", "stop": "converged", "converged": False}
+    screen.print_notes([row])
+    assert capfd.readouterr().out == "mcp, irls, auto: the judge does not accept the refitted answer\n"

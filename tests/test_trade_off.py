@@ -78,3 +78,11 @@ def test_the_one_that_was_asked_for():
 def test_nothing_is_no_curve():
     with pytest.raises(InputError, match="no design"):
         relax.trade_off([])
+
+
+def test_a_membrane_that_does_not_stand_is_no_answer():
+    """It is nearest, but no equilibrium; the same rule as for the knee."""
+    designs = curve_of((0, 1.0), (1, 0.3), (2, 0.001), equilibrium={2: 1e-3})
+    assert relax.choose(designs, count=2) == (1, True)
+    assert relax.choose(designs, rms=0.5) == (1, True)
+    assert relax.choose(designs, rms=0.01)[1] is False

@@ -33,7 +33,6 @@ REARRANGED = (
     8  # moves of single supports and close pairs that are looked at closer; where more stand close together the weight fits noise
 )
 REARRANGED_PAYS = 5e-3  # relative fall that the model must promise for a support moved by itself
-WIDER = 3.0  # first smoothing of a second continuation: on some scenes it ends lower, by up to 4 % of the objective
 PROPOSALS = 2  # the model's best are tried at true equilibrium, no more
 GAIN = 1e-4  # relative fall of the objective below which Newton on the support is the better next step
 SETTLED = 0.01  # relative fall with the same supports after which Newton on them is the better next step
@@ -89,9 +88,7 @@ class Search:
         shape, model, slides = self._model(state.shape)
         small, here = model.small, shape.amplitudes
         starts = [here, self._shifted(here, slides)]
-        wider = replace(self.continuation, first=WIDER * self.continuation.first)
-        proposals = [small.pruned(small.continued(each)) for each in (self.continuation, wider)]
-        proposals += [small.pruned(start[model.members]) for start in starts]
+        proposals = [small.pruned(small.continued(self.continuation)), *(small.pruned(start[model.members]) for start in starts)]
         proposals.append(np.zeros_like(proposals[0]))  # nothing at all: each may pay beside the others, and together not
         moved = self._tried(replace(state, shape=shape), model, proposals)
         return moved if moved.stop is None else self._rearranged(moved, model, slides)

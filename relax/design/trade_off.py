@@ -60,8 +60,7 @@ def trade_off(designs: Sequence[Design]) -> TradeOff:
     said = [design.certificate for design in designs]
     supports = np.array([each.supports for each in said])
     rms = np.array([each.rms_distance for each in said])
-    at_rest = np.array([each.equilibrium <= EQUILIBRIUM and each.stable for each in said])
-    efficient = _efficient(supports, np.where(at_rest, rms, np.inf))
+    efficient = _efficient(supports, np.where(_at_rest(designs), rms, np.inf))
     return TradeOff(
         weight=np.array([design.problem.strength for design in designs]),
         supports=supports,
@@ -73,6 +72,11 @@ def trade_off(designs: Sequence[Design]) -> TradeOff:
         efficient=efficient,
         knee=_knee(supports, rms, np.flatnonzero(efficient)),
     )
+
+
+def _at_rest(designs: Sequence[Design]) -> Mask:
+    """Whether each is a membrane that stands (D,)."""
+    return np.array([each.certificate.equilibrium <= EQUILIBRIUM and each.certificate.stable for each in designs])
 
 
 def _efficient(supports: Ints, rms: Floats) -> Mask:
@@ -104,15 +108,15 @@ def choose(designs: Sequence[Design], count: int | None = None, rms: float | Non
     """Which design of a path is the answer, and whether it is what was asked for.
 
     With a `count` the nearest with at most so many supports; with an `rms` distance in metres the heaviest that is as near;
-    else the knee. Where none is as asked, the one that comes nearest to it.
+    else the knee. A membrane that does not stand is none. Where none is as asked, the one that comes nearest to it.
     """
-    curve = trade_off(designs)
+    curve, at_rest = trade_off(designs), _at_rest(designs)
     if count is not None:
-        fits = curve.supports <= count
+        fits = at_rest & (curve.supports <= count)
         near = np.where(fits, curve.rms_distance, np.inf) if fits.any() else curve.supports
         return int(np.argmin(near)), bool(fits.any())
     if rms is not None:
-        fits = curve.rms_distance <= rms
+        fits = at_rest & (curve.rms_distance <= rms)
         best = np.argmax(np.where(fits, curve.weight, 0.0)) if fits.any() else np.argmin(curve.rms_distance)
         return int(best), bool(fits.any())
     return curve.knee, True
