@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from relax.design.compare import Row
     from relax.design.explain import Explanation
     from relax.design.solve import Design
+    from relax.design.trade_off import TradeOff
     from relax.files import StoredResult
 
 Kind = TypeVar("Kind")
@@ -57,9 +58,10 @@ def path(scene: Path, count: int | None, rms: float | None, output: Path | None,
     with progress(quiet=options["quiet"]) as callback:
         found, broken = _gathered(designs_of(problem, count=count, rms=rms, callback=callback))
     index, reached = choose(found, count, rms)
-    rows = path_rows(found, trade_off(found), index)
+    curve = trade_off(found)
+    rows = path_rows(found, curve, index)
     with hold_interrupts() as came:
-        _write_path(folder, found, index, rows)
+        _write_path(folder, found[index], curve, index, rows)
     best = found[index]
     if options["as_json"]:
         click.echo(rows_as_json(rows), nl=False)
@@ -88,13 +90,12 @@ def _gathered(items: Iterable[Kind], each: Callable[[Kind], None] = lambda _: No
     return found, False
 
 
-def _write_path(folder: Path, found: "list[Design]", index: int, rows: list[dict[str, Any]]) -> None:
-    from relax.design.trade_off import trade_off
+def _write_path(folder: Path, best: "Design", curve: "TradeOff", index: int, rows: list[dict[str, Any]]) -> None:
     from relax.files.tables import write_path
     from relax.plots.curve import draw_trade_off
     from relax.plots.picture import draw_picture
 
-    best, curve, title = found[index], trade_off(found), found[0].problem.scene.title
+    title = best.problem.scene.title
     curves = {"trade-off.png": lambda path: draw_trade_off(curve, path, title, index)}
     write_path(folder, rows, best, curves, {"picture.png": lambda path: draw_picture(best, path)})
 

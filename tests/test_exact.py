@@ -22,7 +22,7 @@ from relax.errors import InputError
 from relax.sparsity.penalties import Count, GroupLasso, Power
 from relax.sparsity.supports import sizes
 
-pytest.importorskip("pyscipopt")
+pytest.importorskip("pyscipopt", reason="pip install 'relax-tensile[exact]'")
 
 
 TWELVE = [7, 8, 10, 13, 14, 15, 16, 20, 21, 22, 25, 28]  # of the 16 free vertices of a net of 6 x 6

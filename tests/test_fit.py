@@ -31,6 +31,20 @@ def test_neighbours_nearly_parallel_do_not_stall_it():
     assert found.sum() == pytest.approx(3.0, rel=1e-3)
 
 
+@pytest.mark.parametrize("seed", range(8))
+def test_a_badly_conditioned_fit_is_a_fixed_point_of_the_projected_gradient(seed):
+    """Up to a condition number of 1e8; no step along the gradient, projected, goes anywhere."""
+    rng = np.random.default_rng(seed)
+    count = int(rng.integers(4, 16))
+    turn = np.linalg.qr(rng.normal(size=(3 * count, 3 * count)))[0]
+    matrix = turn * np.geomspace(1, 1e-8, 3 * count) @ turn.T
+    matrix, linear = (matrix + matrix.T) / 2, 0.3 * rng.normal(size=(count, 3))
+    reach = Reach((0, 1, 2), 0.5, 1.0)
+    found = fit_within(reach, matrix, linear, None)
+    gradient = 2 * ((matrix @ found.ravel()).reshape(found.shape) + linear)
+    assert np.abs(found - reach.project(found - 0.5 * gradient)).max() < 1e-11
+
+
 def test_solve_definite_takes_nothing_and_what_is_singular():
     assert solve_definite(np.zeros((0, 0)), np.zeros(0)).size == 0
     assert np.allclose(solve_definite(np.ones((2, 2)), np.array([2.0, 2.0])), [1.0, 1.0])

@@ -19,22 +19,10 @@ from relax.iterate import iterate
 from relax.sparsity.supports import sizes
 
 DATA = Path(__file__).parent.parent / "data"
-SCENES = {
-    "hookean": {},
-    "loads": {"membrane__loads": [0.02, 0.0, -0.05]},
-    "force density": {"membrane__springs": "force-density"},
-    "tension-only": {"membrane__springs": "tension-only"},
-    "vertical": {"supports__direction": "vertical"},
-    "group lasso": {"penalty__name": "group-lasso"},
-}
 
 
 def problem_of(name, every=5, **changes):
-    """Two masts on a target that they cannot reach (noise), at uneven costs; with `every` some vertices are no candidates."""
-    wanted = {"penalty__weight": 5e-3, "penalty__smoothing": 1e-4, **SCENES[name], **changes}
-    scene = zoo.planted(6, zoo.TWO_MASTS, sigma=0.02, **wanted).scene
-    candidates = scene.candidates & ((np.arange(scene.mesh.vertices) % every != 0) if every else True)
-    return Problem(replace(scene, support_weight=np.linspace(0.6, 1.4, scene.mesh.vertices), candidates=candidates))
+    return Problem(zoo.uneven(name, every, **{"penalty__smoothing": 1e-4, **changes}))
 
 
 def reweighting(problem, last=1e-3):
@@ -42,7 +30,7 @@ def reweighting(problem, last=1e-3):
 
 
 @pytest.mark.parametrize("every", [0, 5])
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("name", zoo.UNEVEN)
 def test_one_system_is_the_quadratic_programme_solved_densely(name, every):
     """min |r + d|^2_M + d T d / 2 + sum b |s + K d|^2 over d, K d = 0 in all rows that no candidate has."""
     problem = problem_of(name, every)
@@ -66,7 +54,7 @@ def test_one_system_is_the_quadratic_programme_solved_densely(name, every):
     np.testing.assert_allclose(multipliers[rows], curved * forces, rtol=0, atol=1e-9 * np.abs(curved * forces).max())
 
 
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("name", zoo.UNEVEN)
 def test_the_promised_fall_is_the_slope_of_the_smoothed_objective(name):
     """Down the step from a shape at rest: F(t) - F(0) - t F'(0) is of second order, at true equilibrium."""
     problem = problem_of(name)
@@ -85,7 +73,7 @@ def test_the_promised_fall_is_the_slope_of_the_smoothed_objective(name):
     assert np.log2(errors[0] / errors[1]) == pytest.approx(2.0, abs=0.2)
 
 
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("name", zoo.UNEVEN)
 def test_the_smoothed_objective_falls_at_each_step_and_every_step_is_at_rest(name):
     problem = problem_of(name)
     method = reweighting(problem)

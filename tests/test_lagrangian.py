@@ -20,22 +20,10 @@ from relax.iterate import iterate
 from relax.sparsity.supports import sizes
 
 DATA = Path(__file__).parent.parent / "data"
-SCENES = {
-    "hookean": {},
-    "loads": {"membrane__loads": [0.02, 0.0, -0.05]},
-    "force density": {"membrane__springs": "force-density"},
-    "tension-only": {"membrane__springs": "tension-only"},
-    "vertical": {"supports__direction": "vertical"},
-    "group lasso": {"penalty__name": "group-lasso"},
-}
 
 
 def problem_of(name, **changes):
-    """Two masts on a target that they cannot reach (noise), at uneven costs, every fifth vertex no candidate."""
-    wanted = {"penalty__weight": 5e-3, "penalty__smoothing": 1e-3, **SCENES[name], **changes}
-    scene = zoo.planted(6, zoo.TWO_MASTS, sigma=0.02, **wanted).scene
-    candidates = scene.candidates & (np.arange(scene.mesh.vertices) % 5 != 0)
-    return Problem(replace(scene, support_weight=np.linspace(0.6, 1.4, scene.mesh.vertices), candidates=candidates))
+    return Problem(zoo.uneven(name, **{"penalty__smoothing": 1e-3, **changes}))
 
 
 def somewhere(name, mu=2.0):
@@ -84,7 +72,7 @@ def written_out(field, point):
     return total
 
 
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("name", zoo.UNEVEN)
 def test_value_and_gradient(name):
     field, point = somewhere(name)
     assert point.value == pytest.approx(written_out(field, point), rel=1e-12)
@@ -92,7 +80,7 @@ def test_value_and_gradient(name):
         assert taylor_order(lambda t, a=along: moved(field, point, a, t).value, gradient(point) @ along, 1e-4) > 1.9
 
 
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("name", zoo.UNEVEN)
 def test_the_step_is_newton_s_where_the_hessian_is_definite(name):
     """Against the gradient's central differences, with mu large and y + mu c small, so that nothing needs to be made definite."""
     field, point = somewhere(name, mu=300.0)
@@ -126,7 +114,7 @@ def test_where_l_bends_down_the_step_goes_down():
         point = field.step(point)
 
 
-@pytest.mark.parametrize("name", [name for name in SCENES if name != "group lasso"])
+@pytest.mark.parametrize("name", [name for name in zoo.UNEVEN if name != "group lasso"])
 def test_what_it_ends_at_is_stationary_for_the_whole_problem(name):
     """Densely: f + g + p = 0, and K^-1 2 M r = -R'(p) at each candidate, small forces included, before any rounding or refit."""
     problem = problem_of(name)

@@ -106,11 +106,13 @@ def test_newton_on_a_support_ends_where_a_general_solver_ends(name):
     def force(flat, g):
         return flat.reshape(first.shape)[g]
 
+    def lean(flat, g):
+        return reach.tangent * force(flat, g)[-1] - np.linalg.norm(force(flat, g)[:-1])
+
     rules = []
     for g in range(2):
         if reach.tangent is not None:
-            lean = lambda v, g=g: reach.tangent * force(v, g)[-1] - np.linalg.norm(force(v, g)[:-1])  # noqa: E731
-            rules.append({"type": "ineq", "fun": lean})
+            rules.append({"type": "ineq", "fun": lean, "args": (g,)})
         if np.isfinite(reach.largest):
             rules.append({"type": "ineq", "fun": lambda v, g=g: reach.largest**2 - force(v, g) @ force(v, g)})
     other = minimize(value, first.ravel(), method="SLSQP", constraints=rules, options={"ftol": 1e-14, "maxiter": 300})

@@ -14,9 +14,10 @@ from relax.design.problem import Problem
 from relax.design.solve import solve
 from relax.errors import InputError
 from relax.files import check_output, load_result, load_scene, write_result
+from relax.files.archives import RESULT
 from relax.files.meshes import read_mesh
 from relax.files.results import OURS
-from relax.files.stored import SHAPES, differing
+from relax.files.stored import differing
 
 ARRAYS = "target clean_target start rest_length spring_constant loads fixed candidates metric support_weight".split()
 TEXT = """noise = { sigma = 0.01, seed = 4 }
@@ -48,6 +49,44 @@ def refusal(function, *arguments):
 
 def content(folder):
     return {entry.name: entry.read_bytes() if entry.is_file() else None for entry in folder.iterdir()}
+
+
+def test_a_folder_gives_the_design_back(design, folder):
+    again = load_result(folder).design()
+    assert (again.stop, again.iterations, again.factorizations) == (design.stop, design.iterations, design.factorizations)
+    assert (again.skipped, again.interrupted, again.seconds) == (design.skipped, design.interrupted, design.seconds)
+    assert again.certificate == design.certificate and again.supports == design.supports and str(again) == str(design)
+    assert again.trace.notes == design.trace.notes and len(again.trace.notes) > 1
+    for name in ("positions", "forces", "objective", "stationarity", "seconds", "unrounded_positions", "unrounded_forces"):
+        np.testing.assert_array_equal(getattr(again.trace, name), getattr(design.trace, name))
+    (folder / "trace.npz").unlink()
+    bare = load_result(folder).design()
+    assert bare.certificate == design.certificate and bare.trace.notes == () and bare.trace.positions.shape[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"positions": np.zeros((1, 3, 3))}, "positions has the shape (1, 3, 3), expected (T, V, 3) with V = "),
+        ({"seconds": np.zeros(99)}, "seconds has the shape (99,), expected (T,)"),
+        ({"notes": np.zeros(0)}, "notes "),
+        ({"forces": None}, "it has no array forces"),
+    ],
+)
+def test_a_trace_that_does_not_belong_to_its_result_is_refused(folder, change, said):
+    path = folder / "trace.npz"
+    with np.load(path) as archive:
+        arrays = dict(archive) | change
+    np.savez(path, **{name: array for name, array in arrays.items() if array is not None})
+    words = refusal(load_result(folder).design)
+    assert words.startswith(f"{path}: ") and said in words
+
+
+@pytest.mark.parametrize("name", ["stop", "iterations", "seconds", "skipped", "interrupted"])
+def test_a_run_without_its_figures_is_no_design(folder, name):
+    figures = json.loads((folder / "result.json").read_text())
+    (folder / "result.json").write_text(json.dumps(figures | {name: None}))
+    assert f"result.json: {name} is missing" in refusal(load_result(folder).design)
 
 
 def test_a_result_comes_back_as_it_was(design, folder):
@@ -88,7 +127,7 @@ def test_result_json_holds_what_the_format_asks_for(design, folder):
 
 def test_arrays_are_those_of_the_format(design, folder):
     with np.load(folder / "result.npz", allow_pickle=False) as archive:
-        assert set(archive) == set(SHAPES)
+        assert set(archive) == set(RESULT)
         assert archive["fixed"].dtype == archive["candidates"].dtype == np.bool_
     with np.load(folder / "trace.npz", allow_pickle=False) as archive:
         steps, vertices = len(design.trace.objective), len(design.positions)

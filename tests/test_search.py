@@ -260,7 +260,7 @@ def test_peaks_and_neighbours_are_those_of_the_mesh(name):
 
 def test_a_model_that_promises_what_is_not_so_ends_the_search_with_the_reason(monkeypatch):
     problem = Problem(SCENES["bumps"]())
-    monkeypatch.setattr(search, "displaced", lambda *_: None)
+    monkeypatch.setattr(search, "loaded", lambda *_: None)
     bare = unsupported(problem)
     method = Search(problem)
     state = method.step(method.begin(bare))
@@ -276,14 +276,14 @@ def stages(design):
 def test_where_nothing_comes_of_the_pulled_start_the_heavy_ones_are_taken(monkeypatch):
     planted = zoo.planted(9, zoo.TWO_MASTS, sigma=0.01, penalty__weight=5e-3)
     assert stages(solve(Problem(planted.scene))) == {"start pulled"}
-    real = search.displaced
+    real = search.loaded
 
     def refused(*asked):
         """No rest for what is proposed from the dense shape."""
         return None if dense and dense.pop() else real(*asked)
 
     dense = [True]
-    monkeypatch.setattr(search, "displaced", refused)
+    monkeypatch.setattr(search, "loaded", refused)
     design = solve(Problem(planted.scene))
     assert {"start pulled", "start heavy 0.5"} <= stages(design)
     monkeypatch.undo()

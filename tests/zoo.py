@@ -266,3 +266,21 @@ def in_millimetres(step):
         load=1e-3 * step.load,
         weights=1e9 * step.weights,
     )
+
+
+UNEVEN = {
+    "hookean": {},
+    "loads": {"membrane__loads": [0.02, 0.0, -0.05]},
+    "force density": {"membrane__springs": "force-density"},
+    "tension-only": {"membrane__springs": "tension-only"},
+    "vertical": {"supports__direction": "vertical"},
+    "group lasso": {"penalty__name": "group-lasso"},
+}
+
+
+def uneven(name, every=5, **changes):
+    """Two masts on a target that they cannot reach (noise), at uneven costs; with `every` some vertices are no candidates."""
+    wanted = {"penalty__weight": 5e-3, **UNEVEN[name], **changes}
+    scene = planted(6, TWO_MASTS, sigma=0.02, **wanted).scene
+    candidates = scene.candidates & ((np.arange(scene.mesh.vertices) % every != 0) if every else True)
+    return replace(scene, support_weight=np.linspace(0.6, 1.4, scene.mesh.vertices), candidates=candidates)

@@ -8,7 +8,7 @@ import numpy as np
 from relax.arrays import Floats, Ints, lock_arrays
 from relax.convex.reweighted import Reweighted
 from relax.design.assurance import Assurance, assurance
-from relax.design.model import empty_model
+from relax.design.model import model_at
 from relax.design.optimality import Certificate, judge
 from relax.design.problem import Problem
 from relax.design.refit import Shape, refit, with_dual
@@ -223,7 +223,7 @@ def _at(problem: Problem, positions: Floats, forces: Floats) -> tuple[Shape, Fac
 def _pull(problem: Problem, shape: Shape, dual: Floats) -> Floats:
     """|P_C(-lam_g)| over the steepest slope of R (m,); infinite where a support is free."""
     allowed = problem.group_weights(np.zeros_like(shape.amplitudes))
-    push = sizes(problem.supports.reach.cone(-problem.supports.duals(dual)))
+    push = problem.supports.reach.pull(problem.supports.duals(dual))
     return np.divide(push, allowed, out=np.full_like(push, np.inf), where=allowed > 0)
 
 
@@ -238,10 +238,9 @@ def _supports(problem: Problem, shape: Shape, factor: Factor, dual: Floats, mode
     """A record for each group that carries a force."""
     share = 0.0 if mode == "debiased" else 1.0
     groups = np.flatnonzero(shape.amplitudes.any(axis=1))
-    distance, here = problem.distance(shape.positions), shape.amplitudes[groups]
-    felt, costs = problem.supports.duals(dual), problem.group_costs(sizes(shape.amplitudes))
-    curvature = problem.curvature(shape.positions, dual)
-    model = empty_model(problem, factor, curvature, shape.amplitudes, distance, felt).enlarged(groups)
+    here, costs = shape.amplitudes[groups], problem.group_costs(sizes(shape.amplitudes))
+    model = model_at(problem, shape, factor, dual).enlarged(groups)
+    distance, felt = model.distance, model.dual
     size = sizes(here)
     slopes = share * problem.strength * problem.supports.weights[groups] * problem.penalty.slope(size)
     along = -np.einsum("gc,gc->g", felt[groups], here) / size

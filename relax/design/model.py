@@ -14,6 +14,7 @@ from scipy.sparse import csc_array
 from relax.arrays import Floats, Ints
 from relax.convex.reweighted import Reweighted
 from relax.design.problem import Problem
+from relax.design.refit import Shape, with_dual
 from relax.factor import Factor
 
 
@@ -111,3 +112,16 @@ def empty_model(problem: Problem, factor: Factor, curvature: csc_array, origin: 
     return Model(
         problem, factor, curvature, origin, distance, dual, none, np.zeros((factor.matrix.shape[0], 0)), np.zeros((0, 0))
     )
+
+
+def model_at(problem: Problem, shape: Shape, factor: Factor, field: Floats) -> Model:
+    """The model without members yet at a shape with its factorisation and its dual lam (n, 3)."""
+    curvature, dual = problem.curvature(shape.positions, field), problem.supports.duals(field)
+    return empty_model(problem, factor, curvature, shape.amplitudes, problem.distance(shape.positions), dual)
+
+
+def model_on_supports(problem: Problem, shape: Shape) -> tuple[Shape, Model]:
+    """The shape with a factorisation at or near it, and its model on the supports that stand."""
+    shape, factor, field = with_dual(problem, shape)
+    model = model_at(problem, shape, factor, field)
+    return shape, model.enlarged(np.flatnonzero(problem.standing(shape.amplitudes)))

@@ -121,7 +121,7 @@ def _optimality(
     if not np.isfinite(steepest(problem.penalty)):
         return stationarity, None
     allowed = problem.group_weights(supports.none)
-    off_support = float((sizes(problem.pulls(dual))[~stands] / allowed[~stands]).max(initial=0.0))
+    off_support = float((supports.reach.pull(dual)[~stands] / allowed[~stands]).max(initial=0.0))
     return stationarity, off_support
 
 

@@ -14,13 +14,12 @@ import numpy as np
 from relax.arrays import Floats
 from relax.design.optimality import EQUILIBRIUM
 from relax.design.problem import Problem
-from relax.design.refit import Shape
 from relax.design.solve import Design, solve
 from relax.design.starts import is_planted, unsupported
+from relax.design.starts import largest_weight as largest_lasso_weight
 from relax.design.trace import Callback
 from relax.errors import InputError, RelaxError
-from relax.sparsity.penalties import is_convex
-from relax.sparsity.supports import sizes
+from relax.sparsity.penalties import is_convex, steepest
 
 Begin = tuple[Floats, Floats]  # positions and forces (V, 3)
 
@@ -56,15 +55,7 @@ def largest_weight(problem: Problem) -> float:
     this weight on, with eps = 1e-6 from 85 and 209 times on (pavilion, five-masts). With eps -> 0, as for the count, w(0) is
     infinite and this weight 0, though supports pay. `path` finds by trial where nothing stands.
     """
-    return _largest_weight(problem, unsupported(problem))
-
-
-def _largest_weight(problem: Problem, shape: Shape) -> float:
-    supports = problem.supports
-    dual = supports.duals(problem.dual(shape.positions, shape.factor or problem.factor_at(shape.positions)))
-    may_stand = ~problem.standing(shape.amplitudes)  # what always stands passes no test
-    steepest = supports.weights[may_stand] * problem.penalty.weight(np.zeros(1))[0]
-    return float((sizes(supports.reach.cone(-dual))[may_stand] / steepest).max(initial=0.0))
+    return largest_lasso_weight(problem, unsupported(problem)) / steepest(problem.penalty)
 
 
 def path(
@@ -175,7 +166,7 @@ class _Way:
             )
         positions, forces = shape.positions, problem.all_forces(shape.amplitudes)
         # with an infinite slope at 0: a support that costs more than the whole distance pays nowhere
-        weight = _largest_weight(problem, shape) or problem.distance(positions)
+        weight = largest_lasso_weight(problem, shape) / steepest(problem.penalty) or problem.distance(positions)
         design = None
         for _ in range(DOUBLINGS):
             design = self._lowest(weight, [(positions, forces), None])

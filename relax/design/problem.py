@@ -69,10 +69,6 @@ class Problem:
         reach = reach_of(said["direction"], said["max_force"])
         return Supports(candidates, self.scene.support_weight[free][candidates], len(free), reach)
 
-    def pulls(self, dual: Floats) -> Floats:
-        """P_C(-lam) (m, c): how a first support would act at each candidate; |P_C(-lam_g)| is what a unit of it gains."""
-        return self.supports.reach.cone(-dual)
-
     def standing(self, amplitudes: Floats) -> Mask:
         """Which groups carry a force, or stand whatever comes (m,)."""
         stands: Mask = np.any(amplitudes != 0, axis=1) | self.supports.always

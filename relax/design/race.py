@@ -90,48 +90,50 @@ def _by_symmetry(problem: Problem, method: Method, journal: Journal) -> list[Out
     if reduced is None:
         return []
     said = list[str]()
-    found = _symmetric_answer(reduced, method, journal, said)
+    found, planted = _symmetric_answer(reduced, method, journal, said)
     if found is None or not problem.standing(found.shape.amplitudes).any():
         return []  # an orbit of supports may not pay where one of them does
     parts = f"{reduced.symmetry.order - 1} of {reduced.symmetry.order} parts of the membrane: it has {reduced.symmetry}"
-    if said:  # planted: nothing needs to be searched for elsewhere
+    if planted:
         standing = reduced.one_of_each(np.flatnonzero(problem.standing(found.shape.amplitudes)))
         if found.certificate.converged and Search(problem).confirms(found.shape, standing):
             journal.skipped += [*said, parts]
             return [found]
-    doubtful = _first_step(problem) < _objective(problem, found.shape)
+    better = _undercutting(problem, found.shape)
     outcome = _run(problem, Start("symmetric", found.shape), method, journal)
     same = np.array_equal(problem.standing(outcome.shape.amplitudes), problem.standing(found.shape.amplitudes))
     if outcome.certificate.converged:
         what = "found nothing better" if same else "went on from there"
         journal.skipped.append(f"{parts}, and the search of the whole {what}")
-    return [outcome, *(_run(problem, start, method, journal) for start in choose_starts(problem, None, [])[:doubtful])]
+    return [outcome] if better is None else [outcome, _run(problem, better, method, journal)]
 
 
-def _symmetric_answer(reduced: SymmetricProblem, method: Method, journal: Journal, said: list[str]) -> Outcome | None:
-    """What one vertex of each orbit leads to, as an outcome of the whole; `said` tells whether few supports hold the target."""
+def _symmetric_answer(
+    reduced: SymmetricProblem, method: Method, journal: Journal, said: list[str]
+) -> tuple[Outcome | None, bool]:
+    """What one vertex of each orbit leads to, as an outcome of the whole, and whether few supports hold the target as it is."""
     try:
         start = choose_starts(reduced, None, said)[0]
         if start.weight is not None:
-            return None
+            return None, False
         journal.lift = reduced.whole
         shape, rough = (reduced.whole(shape) for shape in method(reduced, start, journal))
     except EquilibriumError:
-        return None
+        return None, False
     finally:
         journal.lift = None
-    if not is_planted(reduced, start.shape):
-        said.clear()
-    return Outcome(reduced.original, shape, rough)
+    return Outcome(reduced.original, shape, rough), is_planted(reduced, start.shape)
 
 
-def _first_step(problem: Problem) -> float:
-    """The objective after one step of the whole search from its own start."""
+def _undercutting(problem: Problem, shape: Shape) -> Start | None:
+    """The whole search's own start, where its first step already ends below a shape."""
     search = Search(problem)
     try:
-        return search.step(search.begin(choose_starts(problem, None, [])[0].shape)).objective
+        start = choose_starts(problem, None, [])[0]
+        objective = search.step(search.begin(start.shape)).objective
     except EquilibriumError:
-        return np.inf
+        return None
+    return start if objective < _objective(problem, shape) else None
 
 
 def last_refit(problem: Problem) -> str:

@@ -237,6 +237,13 @@ def displaced(problem: Problem, shape: Shape, displacement: Floats, amplitudes: 
     return rest(problem, replace(shape, positions=guess, amplitudes=amplitudes))
 
 
+def loaded(problem: Problem, shape: Shape, amplitudes: Floats) -> Shape | None:
+    """The shape at rest under other amplitudes (m, c), started where its own factor predicts it; None if it finds none."""
+    assert shape.factor is not None
+    shift = shape.factor.solve(problem.supports.forces(amplitudes - shape.amplitudes))
+    return displaced(problem, shape, shift, amplitudes)
+
+
 def figures(problem: Problem, shape: Shape, note: str, looked: Iterable[int]) -> dict[str, object]:
     """What the trace keeps of a shape; `looked`: candidates whose columns of K^-1 were made."""
     return {

@@ -45,17 +45,17 @@ def round_supports(problem: Problem, shape: Shape, keep: Mask, progress: Progres
     stands = problem.standing(shape.amplitudes)
     allowed = problem.group_weights(problem.supports.none)
     # the dual of a shape that Newton left far from stationary says nothing
-    missing = ~stands & (sizes(problem.pulls(dual)) > allowed * SLACK) if residual <= STATIONARY else np.zeros_like(stands)
+    missing = ~stands & (problem.supports.reach.pull(dual) > allowed * SLACK) if residual <= STATIONARY else np.zeros_like(stands)
     return Rounded(shape, dual, before & ~stands, missing)
 
 
 def seated(problem: Problem, result: Rounded, seats: int = SEATS) -> Shape:
     """The rounded shape with a first small force at the groups that are missed most; the value falls along each by itself."""
-    shape, pulls = result.shape, problem.pulls(result.dual)
-    size = sizes(pulls)
+    shape, supports = result.shape, problem.supports
     missing = np.flatnonzero(result.missing)
-    most = missing[np.argsort(-size[missing] / problem.supports.weights[missing])][:seats]
+    most = missing[np.argsort(-supports.steepness(result.dual)[missing])][:seats]
+    pulls = supports.reach.cone(-result.dual[most])
     seat = SEAT * float(sizes(shape.amplitudes).max(initial=0.0)) or problem.penalty.resolution
     amplitudes = shape.amplitudes.copy()
-    amplitudes[most] = seat * pulls[most] / size[most, None]
+    amplitudes[most] = seat * pulls / sizes(pulls)[:, None]
     return replace(shape, amplitudes=amplitudes)

@@ -14,9 +14,9 @@ from scipy.spatial import KDTree
 from relax.arrays import Floats, Ints
 from relax.convex.reweighted import GRADUAL
 from relax.design.landscape import Landscape
-from relax.design.model import Model, empty_model
+from relax.design.model import Model, empty_model, model_on_supports
 from relax.design.problem import Problem
-from relax.design.refit import Shape, displaced, figures, penalty_hessian, with_dual
+from relax.design.refit import Shape, figures, loaded, penalty_hessian
 from relax.iterate import Stop
 from relax.sparsity.supports import sizes
 from relax.sparsity.surrogates import Continuation
@@ -102,7 +102,7 @@ class Search:
         standing = np.flatnonzero(self.problem.standing(shape.amplitudes))
         if not standing.size:
             return True
-        _, model, _ = self._supported(shape)
+        _, model = model_on_supports(self.problem, shape)
         here = shape.amplitudes[model.members]
         hessian = 2 * model.quadratic + penalty_hessian(self.problem, model.members, here)
         bends = np.linalg.eigvalsh(hessian)
@@ -159,23 +159,13 @@ class Search:
         same = np.array_equal(self.problem.standing(shape.amplitudes), self.problem.standing(before.shape.amplitudes))
         return Stop.CONVERGED if same and objective > (1 - SETTLED) * before.objective else None
 
-    def _supported(self, shape: Shape) -> tuple[Shape, Model, Floats]:
-        """The model at a shape on the supports that stand, and the dual (m, c)."""
-        problem = self.problem
-        shape, factor, field = with_dual(problem, shape)
-        dual = problem.supports.duals(field)
-        distance = problem.distance(shape.positions)
-        model = empty_model(problem, factor, problem.curvature(shape.positions, field), shape.amplitudes, distance, dual)
-        standing = np.flatnonzero(problem.standing(shape.amplitudes))
-        return shape, model.enlarged(standing), dual
-
     def _model(self, shape: Shape) -> tuple[Shape, Model, Ints]:
         """The model at a shape under few forces: with those, the peaks that could pay, and a neighbour uphill of each."""
-        shape, model, dual = self._supported(shape)
+        shape, model = model_on_supports(self.problem, shape)
         standing = model.members
-        steep = self._steepness(dual)
+        steep = self.problem.supports.steepness(model.dual)
         uphill = self._land.uphill(steep, standing)
-        entering = np.union1d(self._newcomers(model, dual), np.setdiff1d(uphill, standing))
+        entering = np.union1d(self._newcomers(model, model.dual), np.setdiff1d(uphill, standing))
         slides = np.column_stack([standing, uphill])[uphill != standing]
         return shape, model.enlarged(entering), slides
 
@@ -209,14 +199,14 @@ class Search:
         """Peaks of the dual field outside the model where a force could pay for itself, the steepest first."""
         problem = self.problem
         count = len(model.members) if standing is None else standing
-        steep = self._steepness(dual)
+        steep = problem.supports.steepness(dual)
         steep[model.members] = 0.0
         peaks = self._land.peaks(steep)
         peaks = peaks[: max(NEWCOMERS, round(ENTER * count))]
         if not model.members.size:
             return peaks
         # how far a unit force moves the membrane is not known without its column: the members' mean tells the order of it
-        pulls = problem.pulls(dual)[peaks]
+        pulls = problem.supports.reach.cone(-dual[peaks])
         along = np.square(pulls) / np.square(sizes(pulls)[:, None])
         bend = along @ np.diag(model.small.quadratic).reshape(-1, along.shape[1]).mean(axis=0)
         gain = OPTIMISM * sizes(pulls)
@@ -225,12 +215,6 @@ class Search:
         priced = np.maximum(force, problem.penalty.resolution)
         cost = problem.strength * problem.supports.weights[peaks] * problem.penalty.value(priced)
         return peaks[(gain * force - bend * force**2 - cost).max(axis=0) > 0]
-
-    def _steepness(self, dual: Floats) -> Floats:
-        """What a unit of force gains at each candidate, over its price (m,); of those without a price none is steeper."""
-        supports = self.problem.supports
-        steep = sizes(self.problem.pulls(dual)) / np.where(supports.always, 1.0, supports.weights)
-        return np.where(supports.always, 0.0, steep)
 
     @cached_property
     def _land(self) -> Landscape:
@@ -255,9 +239,7 @@ class Search:
 
     def _moved(self, shape: Shape, model: Model, proposal: Floats) -> Shape | None:
         """The shape at rest under the proposed forces, started where K predicts it; None if it finds no rest."""
-        amplitudes = model.whole(proposal)
-        shift = model.factor.solve(self.problem.supports.forces(amplitudes - shape.amplitudes))
-        return displaced(self.problem, replace(shape, factor=model.factor), shift, amplitudes)
+        return loaded(self.problem, replace(shape, factor=model.factor), model.whole(proposal))
 
     def done(self, state: State) -> Stop | None:
         """Whether the model had nothing better, or nothing that held in truth."""

@@ -52,8 +52,7 @@ def unsupported(problem: Problem) -> Shape:
 def largest_weight(problem: Problem, shape: Shape) -> float:
     """The smallest weight at which no support passes the dual test: max |P_C(-lam_g)| / c_g at the unsupported `shape`."""
     factor, supports = shape.factor or problem.factor_at(shape.positions), problem.supports
-    pulls = sizes(problem.pulls(supports.duals(problem.dual(shape.positions, factor))))
-    return float((pulls[~supports.always] / supports.weights[~supports.always]).max(initial=0.0))
+    return float(supports.steepness(supports.duals(problem.dual(shape.positions, factor))).max(initial=0.0))
 
 
 def resolve_weight(problem: Problem) -> Problem:

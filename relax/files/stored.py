@@ -1,37 +1,41 @@
 """Result folders read back: arrays and settings checked one by one, so that a damaged or edited one gives one sentence."""
 
-import io
 import json
 import os
-import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from relax.arrays import Floats, Mask, lock_arrays
 from relax.errors import InputError
+from relax.files.archives import RESULT, TRACE, Arrays, read_arrays
 from relax.files.bytes import read_bytes
-from relax.files.checks import LARGEST, RefusedError, shown
+from relax.files.checks import RefusedError, shown
 from relax.files.schema import SCHEMA, Settings, resolve
 from relax.membrane.mesh import Mesh
 from relax.membrane.scene import Scene
 
-Arrays = dict[str, Any]
+if TYPE_CHECKING:
+    from relax.design.problem import Problem
+    from relax.design.solve import Design
+    from relax.design.trace import Trace
 
 SCENE_ARRAYS = (
     *("target", "clean_target", "start", "rest_length", "spring_constant", "loads", "fixed", "candidates", "metric"),
     "support_weight",
 )
-# letters stand for lengths that have to agree
-SHAPES: dict[str, tuple[str | int, ...]] = {
-    **{name: ("V", 3) for name in ("positions", "target", "clean_target", "start", "forces", "loads")},
-    **{"faces": ("F", 4), "edges": ("E", 2), "rest_length": ("E",), "spring_constant": ("E",)},
-    **{"fixed": ("V",), "candidates": ("V",), "metric": ("V", 3, 3), "support_weight": ("V",)},
+# what result.json says of the run itself
+RUN: dict[str, Any] = {
+    "stop": str,
+    "iterations": int,
+    "factorizations": int,
+    "seconds": (int, float),
+    "skipped": list,
+    "interrupted": bool,
 }
-KINDS = {"faces": np.int64, "edges": np.int64, "fixed": np.bool_, "candidates": np.bool_}  # the others are floats
 
 
 @dataclass(frozen=True)
@@ -45,15 +49,35 @@ class StoredResult:
     positions : (V, 3) metres
     forces : (V, 3) newtons
     figures : content of result.json, its settings completed by their defaults
+    folder : where it was read
     """
 
     scene: Scene
     positions: Floats
     forces: Floats
     figures: Mapping[str, Any] = field(repr=False)
+    folder: Path
 
     def __post_init__(self) -> None:
         lock_arrays(self)
+
+    def design(self) -> "Design":
+        """The design as `relax.solve` returned it: judged anew, with the trace of trace.npz, or none where that is not there.
+
+        Raises
+        ------
+        InputError
+            trace.npz cannot be used, or result.json lacks a figure of the run.
+        """
+        from relax.design.optimality import judge
+        from relax.design.problem import Problem
+        from relax.design.solve import Design
+
+        problem = Problem(self.scene)
+        run = _run_figures(self.figures, self.folder / "result.json")
+        certificate = judge(problem, self.positions, self.forces, refit=self.scene.settings["rounding"]["refit"])
+        trace = _read_trace(self.folder / "trace.npz", problem, self)
+        return Design(problem, self.scene.settings, self.positions, self.forces, certificate, **run, trace=trace)
 
 
 def load_result(folder: str | os.PathLike[str]) -> StoredResult:
@@ -73,7 +97,7 @@ def load_result(folder: str | os.PathLike[str]) -> StoredResult:
         name = "result.json"
         figures, settings = _read_figures(folder / name)
         name = "result.npz"
-        arrays = _read_arrays(folder / name)
+        arrays = read_arrays(folder / name, RESULT)
         _check_mesh(arrays)
         _check_springs(arrays)
         _check_places(arrays, settings["supports"]["always"])
@@ -81,7 +105,34 @@ def load_result(folder: str | os.PathLike[str]) -> StoredResult:
         raise InputError(f"{folder / name}: {error}") from None
     mesh = Mesh(len(arrays["positions"]), arrays["faces"], arrays["edges"])
     scene = Scene(mesh=mesh, settings=settings, **{name: arrays[name] for name in SCENE_ARRAYS})
-    return StoredResult(scene, arrays["positions"], arrays["forces"], figures)
+    return StoredResult(scene, arrays["positions"], arrays["forces"], figures, folder)
+
+
+def _run_figures(figures: Mapping[str, Any], path: Path) -> dict[str, Any]:
+    """What result.json says of the run itself, which no judge can say again."""
+    seconds = figures.get("seconds")
+    found = {**figures, "seconds": seconds.get("solve") if isinstance(seconds, dict) else None}
+    for name, kind in RUN.items():
+        if not isinstance(found.get(name), kind):
+            raise InputError(f"{path}: {name} is missing or is no such figure: write the result again with relax solve")
+    return {**{name: found[name] for name in RUN}, "skipped": tuple(map(str, found["skipped"]))}
+
+
+def _read_trace(path: Path, problem: "Problem", stored: StoredResult) -> "Trace":
+    """The trace of a run, its stationarity as it was judged when it was written."""
+    from relax.design.trace import Trace
+
+    if not path.exists():
+        nothing = np.zeros((0, *stored.positions.shape))
+        return Trace(problem, nothing, nothing, np.zeros(0), np.zeros(0), (), stored.positions, stored.forces)
+    try:
+        arrays = read_arrays(path, TRACE, {"V": len(stored.positions)})
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    stationarity = arrays.pop("stationarity")
+    trace = Trace(problem, **{**arrays, "notes": tuple(arrays["notes"].tolist())})
+    vars(trace)["stationarity"] = stationarity  # instead of judging every step once more
+    return trace
 
 
 def _read_figures(path: Path) -> tuple[Mapping[str, Any], Settings]:
@@ -130,52 +181,6 @@ def _given(settings: Settings) -> Settings:
     if isinstance(penalty, dict) and "weight" in penalty:
         penalty.pop("weight_fraction", None)
     return given
-
-
-def _read_arrays(path: Path) -> Arrays:
-    """The arrays of result.npz, with the shapes and types that relax/FORMATS.md gives them."""
-    content = io.BytesIO(read_bytes(path))
-    arrays: Arrays = {}
-    lengths: dict[str, int] = {}
-    try:
-        with np.load(content, allow_pickle=False) as archive:
-            for name in SHAPES:
-                if name not in archive:
-                    raise InputError(f"it has no array {name}: write the result again with relax solve")
-                arrays[name] = archive[name]
-    except InputError:
-        raise
-    except (zipfile.BadZipFile, OSError, ValueError, EOFError, KeyError, MemoryError, NotImplementedError, RuntimeError):
-        raise InputError(
-            "this is no archive of numpy arrays, or it is damaged: write the result again with relax solve"
-        ) from None
-    except Exception:
-        # zlib, struct and tokenize have errors of their own for damaged content
-        raise InputError("it is damaged: write the result again with relax solve") from None
-    for name, shape in SHAPES.items():
-        arrays[name] = _checked(name, arrays[name], shape, lengths)
-    return arrays
-
-
-def _checked(name: str, array: Any, shape: tuple[str | int, ...], lengths: dict[str, int]) -> Any:
-    """`array` in its proper type, if its shape and values allow it."""
-    kind = KINDS.get(name, np.float64)
-    wanted = "(" + ", ".join(str(length) for length in shape) + ("," if len(shape) == 1 else "") + ")"
-    same = array.ndim == len(shape) and all(
-        length == (wish if isinstance(wish, int) else lengths.setdefault(wish, length))
-        for length, wish in zip(array.shape, shape, strict=True)
-    )
-    if not same:
-        known = ", ".join(f"{letter} = {length}" for letter, length in lengths.items())
-        raise InputError(f"{name} has the shape {array.shape}, expected {wanted} with {known or 'V vertices'}")
-    if not np.can_cast(array.dtype, kind, "same_kind"):
-        raise InputError(f"{name} holds {array.dtype}, expected {np.dtype(kind).name}")
-    if array.dtype.kind == "f" and not np.isfinite(array).all():
-        raise InputError(f"{name} is not finite at index {np.argwhere(~np.isfinite(array))[0].tolist()}")
-    if array.dtype.kind == "f" and (np.abs(array) > LARGEST).any():
-        index = np.argwhere(np.abs(array) > LARGEST)[0].tolist()
-        raise InputError(f"{name} is {array[tuple(index)]} at index {index}, beyond {LARGEST:g}: mend it")
-    return array.astype(kind)
 
 
 def _check_mesh(arrays: Arrays) -> None:

@@ -24,8 +24,8 @@ class Face:
 
     Parameters
     ----------
-    basis : (ck, r)
-        T, orthonormal.
+    basis : (ck, r) or None
+        T, orthonormal; None where nothing binds: the identity.
     bend : (r,)
         (1/D - 1) / tau.
     slope : (r,)
@@ -34,22 +34,22 @@ class Face:
         n.
     """
 
-    basis: Floats
+    basis: Floats | None
     bend: Floats
     slope: Floats
     onto: Floats
 
     def hessian(self, whole: Floats) -> Floats:
         """The matrix of the step, (r, r), from H (ck, ck)."""
-        return self.basis.T @ whole @ self.basis + np.diag(self.bend)
+        return whole if self.basis is None else self.basis.T @ whole @ self.basis + np.diag(self.bend)
 
     def gradient(self, whole: Floats) -> Floats:
         """Minus the right-hand side (r,), from H (ck, ck)."""
-        return self.slope + self.basis.T @ (whole @ self.onto)
+        return self.slope if self.basis is None else self.slope + self.basis.T @ (whole @ self.onto)
 
     def step(self, along: Floats) -> Floats:
         """The whole step (ck,) from y (r,)."""
-        return self.basis @ along + self.onto
+        return along if self.basis is None else self.basis @ along + self.onto
 
 
 def projected_gradient(reach: Reach, amplitudes: Floats, gradient: Floats, tau: Floats) -> Floats:
@@ -66,7 +66,7 @@ def face_at(reach: Reach, amplitudes: Floats, gradient: Floats, tau: Floats) -> 
     """The piece on which amplitudes (k, c) lie once the gradient (k, c) has pushed them against what binds; tau (k,)."""
     count, width = amplitudes.shape
     if not reach.constrained:
-        return Face(np.eye(count * width), np.zeros(count * width), gradient.ravel(), np.zeros(count * width))
+        return Face(None, np.zeros(count * width), gradient.ravel(), np.zeros(count * width))
     pushed = amplitudes - tau[:, None] * gradient
     missing = amplitudes - reach.project(pushed)
     values, vectors = np.linalg.eigh(reach.slope(pushed))

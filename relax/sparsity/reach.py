@@ -70,7 +70,7 @@ class Reach:
 
     def pull(self, dual: Floats) -> Floats:
         """|P_C(-lam)| (m,): the slope at which a first force would lower E_dist, for duals (m, c)."""
-        return _size(self.cone(-dual))
+        return sizes(self.cone(-dual))
 
     def prox(self, vectors: Floats, threshold: Floats) -> Floats:
         """The minimiser (m, c) of |s - v|^2 / 2 + threshold |s| over what a support can have, for thresholds (m,).
@@ -78,7 +78,7 @@ class Reach:
         Cone, shrinkage and cap follow each other, since a cone holds every multiple of its vectors and a ball every part.
         """
         inner = self.cone(vectors)
-        size = _size(inner)
+        size = sizes(inner)
         left = np.minimum(np.maximum(size - threshold, 0.0), self.largest)
         return inner * (left / np.where(size > 0, size, 1.0))[:, None]
 
@@ -101,7 +101,7 @@ class Reach:
             around[:, :-1, :-1] = np.eye(width - 1) - unit[:, :, None] * unit[:, None, :]
             around *= (self.tangent * length / np.where(lateral > 0, lateral, 1.0))[:, None, None]
             turn[outside] = np.where((length > 0)[:, None, None], along + around, 0.0)[outside]
-        size = _size(inner)
+        size = sizes(inner)
         left = np.maximum(size - threshold, 0.0)
         bent = (left < size) | (left > self.largest)
         if bent.any():
@@ -116,7 +116,7 @@ class Reach:
     def _capped(self, vectors: Floats) -> Floats:
         if not np.isfinite(self.largest):
             return vectors
-        return vectors * (self.largest / np.maximum(_size(vectors), self.largest))[:, None]
+        return vectors * (self.largest / np.maximum(sizes(vectors), self.largest))[:, None]
 
     def _inside(self, up: Floats, lateral: Floats) -> Mask:
         assert self.tangent is not None
@@ -129,14 +129,15 @@ class Reach:
         return np.maximum(self.tangent * lateral + up, 0.0) / (1 + self.tangent**2)
 
 
-def _size(vectors: Floats) -> Floats:
-    return np.sqrt(np.einsum("ij,ij->i", vectors, vectors))
+def sizes(amplitudes: Floats) -> Floats:
+    """|s_g| of each group, (m,)."""
+    return np.sqrt(np.einsum("ij,ij->i", amplitudes, amplitudes))
 
 
 def _polar(vectors: Floats) -> tuple[Floats, Floats, Floats]:
     """Upward component (m,), size across (m,) and direction across (m, c - 1)."""
     up, across = vectors[:, -1], vectors[:, :-1]
-    lateral = _size(across)
+    lateral = sizes(across)
     return up, lateral, across / np.where(lateral > 0, lateral, 1.0)[:, None]
 
 

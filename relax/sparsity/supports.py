@@ -6,7 +6,9 @@ from functools import cached_property
 import numpy as np
 
 from relax.arrays import Floats, Ints, Mask, lock_arrays
-from relax.sparsity.reach import ANYTHING, Reach
+from relax.sparsity.reach import ANYTHING, Reach, sizes
+
+__all__ = ["OrbitSupports", "Supports", "sizes"]
 
 
 @dataclass(frozen=True)
@@ -71,6 +73,10 @@ class Supports:
         """What each group feels of a dual field (n, 3): B^T lam (m, c)."""
         return field[self.vertices[:, None], self.reach.axes]
 
+    def steepness(self, dual: Floats) -> Floats:
+        """|P_C(-lam_g)| / c_g (m,): what a unit of force gains at each candidate, over its price; 0 for those without a price."""
+        return self.reach.pull(dual) / np.where(self.always, np.inf, self.weights)
+
 
 @dataclass(frozen=True, kw_only=True)
 class OrbitSupports(Supports):
@@ -103,8 +109,3 @@ class OrbitSupports(Supports):
     def duals(self, field: Floats) -> Floats:
         """What each group feels of a dual field (n, 3): B^T lam (m, c)."""
         return self.share[:, None] * self._allowed(super().duals(field))
-
-
-def sizes(amplitudes: Floats) -> Floats:
-    """|s_g| of each group, (m,)."""
-    return np.sqrt(np.einsum("ij,ij->i", amplitudes, amplitudes))

@@ -13,16 +13,15 @@ import numpy as np
 
 from relax.arrays import Floats, Ints, Mask
 from relax.design.landscape import Landscape
-from relax.design.model import Model, empty_model
+from relax.design.model import Model, model_on_supports
 from relax.design.problem import Problem
-from relax.design.refit import Shape, displaced, figures, with_dual
+from relax.design.refit import Shape, figures, loaded
 from relax.design.rounding import Rounded, round_supports, seated
 from relax.design.search import Search
 from relax.design.starts import Start, unsupported
 from relax.design.trace import Journal
 from relax.errors import EquilibriumError
 from relax.iterate import Stop, iterate
-from relax.sparsity.supports import sizes
 
 LIMIT = 2000  # moves; a run that takes more has a weight so light that supports fit noise
 LOOK = 8  # peaks of the dual that the model compares before one is added
@@ -83,16 +82,18 @@ class Greedy:
         """The first state: `shape` with supports that always stand brought to bear, refitted."""
         absent = self.problem.supports.always & ~shape.amplitudes.any(axis=1)
         if absent.any():
-            shape, model, dual = self._model(shape)
+            shape, model = model_on_supports(self.problem, shape)
             standing = np.flatnonzero(self.problem.standing(shape.amplitudes))
-            start = self._seeded(model, shape.amplitudes, dual, standing[absent[standing]])
-            shape = self._moved(shape, model, model.whole(model.small.settled(start[model.members]))) or shape
+            start = self._seeded(model, shape.amplitudes, model.dual, standing[absent[standing]])
+            settled = model.whole(model.small.settled(start[model.members]))
+            shape = loaded(self.problem, replace(shape, factor=model.factor), settled) or shape
         rounded = self._refitted(shape, np.zeros(len(absent), dtype=bool))
         return State(rounded, self._objective(rounded.shape), "where it begins")
 
     def step(self, state: State) -> State:
         """The first move that pays in truth, of the model's best of each kind; the end where none does."""
-        shape, model, dual = self._model(state.shape)
+        shape, model = model_on_supports(self.problem, state.shape)
+        dual = model.dual
         looked, spent = state.looked, shape.factorizations
         kinds = {"add": self._additions, "drop": self._omissions, "swap": self._exchanges}
         for kind in self.moves:
@@ -128,7 +129,7 @@ class Greedy:
         """One support moved: with its force to a neighbour, or given up for a peak of the dual."""
         here, peaks = shape.amplitudes, self._peaks(shape, dual)
         standing = self.problem.standing(here)
-        steep = self._steepness(dual)
+        steep = self.problem.supports.steepness(dual)
         around = {}
         for g in self._movable(shape):
             near = [h for h in self._landscape.beside(g) if not standing[h]]
@@ -162,7 +163,7 @@ class Greedy:
 
     def _tried(self, shape: Shape, model: Model, move: Move) -> State | None:
         """The move at true equilibrium, refitted; None if the membrane finds no rest."""
-        moved = self._moved(shape, model, move.amplitudes)
+        moved = loaded(self.problem, replace(shape, factor=model.factor), move.amplitudes)
         if moved is None:
             return None
         try:
@@ -174,7 +175,7 @@ class Greedy:
     def _infinitesimal(self, state: State) -> State:
         """A candidate whose dual is steeper than R allows gains by a small force, whatever the model expects of a large one."""
         rounded, spent = state.rounded, state.shape.factorizations
-        steep = self._steepness(rounded.dual) * rounded.missing
+        steep = self.problem.supports.steepness(rounded.dual) * rounded.missing
         one = replace(rounded, missing=np.arange(len(steep)) == int(np.argmax(steep)))
         try:
             tried = self._refitted(seated(self.problem, one), one.missing)
@@ -190,20 +191,6 @@ class Greedy:
     def _refitted(self, shape: Shape, keep: Mask) -> Rounded:
         return round_supports(self.problem, shape, keep, lambda _: None)
 
-    def _model(self, shape: Shape) -> tuple[Shape, Model, Floats]:
-        """The model at a shape on the supports that stand, and the dual (m, c)."""
-        problem = self.problem
-        shape, factor, field = with_dual(problem, shape)
-        dual = problem.supports.duals(field)
-        curvature = problem.curvature(shape.positions, field)
-        model = empty_model(problem, factor, curvature, shape.amplitudes, problem.distance(shape.positions), dual)
-        return shape, model.enlarged(np.flatnonzero(problem.standing(shape.amplitudes))), dual
-
-    def _moved(self, shape: Shape, model: Model, amplitudes: Floats) -> Shape | None:
-        """The shape at rest under other forces, started where K predicts it; None if it finds no rest."""
-        shift = model.factor.solve(self.problem.supports.forces(amplitudes - shape.amplitudes))
-        return displaced(self.problem, replace(shape, factor=model.factor), shift, amplitudes)
-
     def _seeded(self, model: Model, amplitudes: Floats, dual: Floats, groups: Ints) -> Floats:
         """Forces (m, c) with a first one at each of `groups`, members of the model: the best there while nothing else moves."""
         seeded = amplitudes.copy()
@@ -215,13 +202,8 @@ class Greedy:
             seeded[g] = force * (float(force @ force) / (2 * bend) if bend > 0 else 0.0)
         return self.problem.supports.reach.project(seeded)
 
-    def _steepness(self, dual: Floats) -> Floats:
-        """|P_C(-lam_g)| / c_g (m,): the fall of E_dist with a first small force at each candidate, over what that costs."""
-        weights = self.problem.supports.weights
-        return sizes(self.problem.supports.reach.cone(-dual)) / np.where(weights > 0, weights, np.inf)
-
     def _peaks(self, shape: Shape, dual: Floats) -> Ints:
-        steep = self._steepness(dual)
+        steep = self.problem.supports.steepness(dual)
         steep[self.problem.standing(shape.amplitudes)] = 0.0
         return self._landscape.peaks(steep)[: self.look]
 

@@ -199,7 +199,7 @@ def _handler(scip: Any, master: _Master) -> Any:
     """SCIP's callbacks: it asks at each node, and for each choice that it would accept."""
     result = scip.SCIP_RESULT
 
-    class Handler(scip.Conshdlr):  # type: ignore[misc]
+    class Handler(scip.Conshdlr):  # type: ignore[misc]  # SCIP has no types
         def conssepalp(self, *_: Any) -> dict[str, Any]:
             return {"result": result.CONSADDED if master.separate() else result.DIDNOTFIND}
 
