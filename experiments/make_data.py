@@ -51,6 +51,13 @@ SCALLOPED_FORCES = (  # where in plan, metres, and the force, newtons
     ((1.9, 1.4), (60.0, 30.0, 700.0)),
 )
 
+SAIL_SIDE = 19  # vertices along a side
+SAIL_HALF = 5.0  # metres from the middle to a side of the square of the corners
+SAIL_SAG = 0.16  # of that, as above
+SAIL_PULL = 6000.0  # newtons by which each corner is pulled out, along x and along y
+# newtons upwards: in the middle, at two opposite corners, at the two others
+SAIL_UP, SAIL_HIGH, SAIL_LOW = 1600.0, -200.0, -600.0
+
 BUMPS_SIDE = 26  # samples along a side of the unit square
 BUMPS = ((0.28, 0.30, 0.24, 0.16), (0.72, 0.38, 0.22, 0.20), (0.44, 0.74, 0.22, 0.18))  # x, y, radius, height of each cap
 
@@ -153,13 +160,31 @@ def five_masts() -> Planted:
     return plant(planting_scene("five-masts", mesh, flat, rim), flat, forces)
 
 
+def drawn_in(side: int, sag: float) -> tuple[Floats, Floats, Floats, Floats]:
+    """A square of side 2 whose sides are parabolas drawn in by `sag`: u, v of each vertex before, and x, y after."""
+    u, v = (grid.ravel() for grid in np.meshgrid(*[np.linspace(-1.0, 1.0, side)] * 2))
+    return u, v, u * (1.0 - sag * (1.0 - v**2)), v * (1.0 - sag * (1.0 - u**2))
+
+
+def sail() -> Planted:
+    """A sail that touches no building: pulled out and down at four corners, two of them more, over a mast in the middle."""
+    u, v, x, y = drawn_in(SAIL_SIDE, SAIL_SAG)
+    flat = np.column_stack([SAIL_HALF * x, SAIL_HALF * y, np.full(u.size, 4.0)])
+    forces = np.zeros_like(flat)
+    corners = np.flatnonzero(np.abs(u * v) == 1)
+    forces[corners, :2] = SAIL_PULL * np.column_stack([u, v])[corners]
+    forces[corners, 2] = np.where((u * v)[corners] > 0, SAIL_HIGH, SAIL_LOW)
+    forces[u.size // 2, 2] = SAIL_UP
+    mesh = grid_mesh(SAIL_SIDE, SAIL_SIDE, "alternating")
+    return plant(planting_scene("sail", mesh, flat, flat), flat, forces)
+
+
 def scalloped() -> Planted:
     """Two masts under a roof that hangs from four corners, two high and two low, by cables along its free, drawn-in sides."""
-    u, v = np.meshgrid(*[np.linspace(-1.0, 1.0, SCALLOPED_SIDE)] * 2)
-    x, y = u * (1.0 - SCALLOPED_SAG * (1.0 - v**2)), v * (1.0 - SCALLOPED_SAG * (1.0 - u**2))
-    flat = np.column_stack([SCALLOPED_HALF * x.ravel(), SCALLOPED_HALF * y.ravel(), np.full(u.size, 3.5)])
+    u, v, x, y = drawn_in(SCALLOPED_SIDE, SCALLOPED_SAG)
+    flat = np.column_stack([SCALLOPED_HALF * x, SCALLOPED_HALF * y, np.full(u.size, 3.5)])
     rim = flat.copy()
-    rim[:, 2] += 1.5 * (u * v).ravel()
+    rim[:, 2] += 1.5 * u * v
     forces = np.zeros_like(flat)
     for place, force in SCALLOPED_FORCES:
         forces[np.argmin(np.linalg.norm(flat[:, :2] - place, axis=1))] = force
@@ -239,7 +264,7 @@ def write_planted(path: Path, planted: dict[str, Planted]) -> None:
 def make_data(folder: Path) -> None:
     """Write all made files into `folder`."""
     folder.mkdir(parents=True, exist_ok=True)
-    planted = {"tent": tent(), "five-masts": five_masts(), "scalloped": scalloped()}
+    planted = {"tent": tent(), "five-masts": five_masts(), "scalloped": scalloped(), "sail": sail()}
     for name, case in planted.items():
         write_obj(folder / f"{name}.obj", case.shape, case.mesh.faces)
         write_obj(folder / f"{name}-flat.obj", case.flat, case.mesh.faces)

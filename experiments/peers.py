@@ -81,44 +81,69 @@ def by_relax(problem: relax.Problem, backend: str | None = None) -> Answer:
 
 
 class Ipopt:
-    """The smoothed problem in casadi, and IPOPT for it; `building` is the time that this took."""
+    """The smoothed problem in casadi, and IPOPT for it; `building` is the time that this took.
+
+    `visited` holds the iterates of the last solve: its seconds so far, and positions of the free vertices (3n,).
+    """
 
     def __init__(self, problem: relax.Problem) -> None:
         begin = time.perf_counter()
         self.problem = problem
-        self.rough, self.last = (_solver(*_model(problem), tolerance) for tolerance in (ROUGH, LAST))
+        self.visited: list[tuple[float, np.ndarray]] = []
+        self._begin = 0.0
+        self._watch = _watch(3 * len(problem.membrane.free), self._visit)
+        self.rough, self.last = (_solver(*_model(problem), tolerance, self._watch) for tolerance in (ROUGH, LAST))
         self.building = time.perf_counter() - begin
 
-    def solve(self, start: np.ndarray) -> Answer:
-        """Down the ladder from positions (V, 3); a solve that fails ends it."""
+    def _visit(self, x: np.ndarray) -> None:
+        self.visited.append((time.perf_counter() - self._begin, x))
+
+    def point(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Positions and forces (V, 3) of an iterate: p = -f - g, so it is in equilibrium."""
+        problem = self.problem
+        positions = problem.scene.target.copy()
+        positions[problem.membrane.free] = x.reshape(-1, 3)
+        amplitudes = problem.supports.amplitudes(-problem.membrane.forces(positions) - problem.loads)
+        return positions, problem.all_forces(amplitudes)
+
+    def descend(self, start: np.ndarray) -> tuple[float, str, np.ndarray]:
+        """Down the ladder from positions (V, 3); a solve that fails ends it. Seconds, IPOPT's word, and the last iterate."""
         problem, free = self.problem, self.problem.membrane.free
         x, seconds, said = start[free].ravel(), 0.0, ""
+        self.visited.clear()
         for rung in LADDER:
             solver = self.last if rung == LADDER[-1] else self.rough
             smoothing = rung * problem.penalty.smoothing
             begin = time.perf_counter()
+            self._begin = begin - seconds
             found = solver(x0=x, p=smoothing)
             seconds += time.perf_counter() - begin
             x, said = found["x"].full().ravel(), solver.stats()["return_status"]
             if not solver.stats()["success"]:
                 said += f" at eps {smoothing:.0e}"
                 break
-        positions = problem.scene.target.copy()
-        positions[free] = x.reshape(-1, 3)
-        amplitudes = problem.supports.amplitudes(-problem.membrane.forces(positions) - problem.loads)
-        value = problem.objective(positions, amplitudes)
+        positions, forces = self.point(x)
+        value = problem.objective(positions, problem.supports.amplitudes(forces[free]))
         if smoothing == problem.penalty.smoothing and not np.isclose(value, float(found["f"]), rtol=1e-9):
             raise RuntimeError(f"IPOPT's model is not relax's problem: {float(found['f'])} and {value}")
+        return seconds, said, x
+
+    def solve(self, start: np.ndarray) -> Answer:
+        """Down the ladder from positions (V, 3), then rounded."""
+        problem = self.problem
+        seconds, said, x = self.descend(start)
+        positions, forces = self.point(x)
+        amplitudes = problem.supports.amplitudes(forces[problem.membrane.free])
         stands = sizes(amplitudes) > problem.penalty.resolution
         after = None
         if stands.sum() > MANY:
             said += f", {stands.sum()} forces stand: not refitted"
         else:
             try:
-                after = _pruned(problem, positions, np.where(stands[:, None], amplitudes, 0.0))
+                after = pruned(problem, positions, np.where(stands[:, None], amplitudes, 0.0))
             except relax.EquilibriumError as error:
                 said += f", not refitted: {error}"
-        return Answer(seconds, said, (positions, problem.all_forces(amplitudes)), after)
+        return Answer(seconds, said, (positions, forces), after)
 
 
 def _model(problem: relax.Problem) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -200,19 +225,54 @@ def _diagonal(blocks: Any, count: int) -> Any:
     return ca.MX(ca.Sparsity(3 * count, 3 * count, list(range(0, 9 * count + 1, 3)), rows.ravel().tolist()), ca.vec(blocks))
 
 
-def _solver(model: dict[str, Any], derivatives: dict[str, Any], tolerance: float) -> Any:
+def _solver(model: dict[str, Any], derivatives: dict[str, Any], tolerance: float, watch: Any) -> Any:
     import casadi as ca
 
-    return ca.nlpsol("peer", "ipopt", model, {**derivatives, "print_time": False, "ipopt": {**IPOPT, "tol": tolerance}})
+    options = {**derivatives, "iteration_callback": watch, "print_time": False, "ipopt": {**IPOPT, "tol": tolerance}}
+    return ca.nlpsol("peer", "ipopt", model, options)
 
 
-def _pruned(problem: relax.Problem, positions: np.ndarray, amplitudes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Positions and forces after the rounding that relax's own convex steps get."""
+def _watch(size: int, visit: Callable[[np.ndarray], None]) -> Any:
+    """What IPOPT calls with each iterate: a function of all that nlpsol gives, of which only x (size,) is looked at."""
+    import casadi as ca
+
+    class Watch(ca.Callback):
+        """Its shapes are casadi's protocol."""
+
+        def __init__(self) -> None:
+            super().__init__()
+            self.construct("watch", {})
+
+        def get_n_in(self) -> int:
+            return ca.nlpsol_n_out()
+
+        def get_n_out(self) -> int:
+            return 1
+
+        def get_sparsity_in(self, index: int) -> Any:
+            name = ca.nlpsol_out(index)
+            count = size if name in ("x", "lam_x") else int(name == "f")
+            return ca.Sparsity.dense(count, 1) if count else ca.Sparsity(0, 0)
+
+        def eval(self, arg: Any) -> list[int]:
+            visit(arg[0].full().ravel())
+            return [0]
+
+    return Watch()
+
+
+def pruned(
+    problem: relax.Problem,
+    positions: np.ndarray,
+    amplitudes: np.ndarray,
+    progress: Callable[[Any], None] = lambda record: None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Positions and forces after the rounding that relax's own convex steps get; `progress` hears of its steps."""
     shape = given(problem, positions, problem.all_forces(amplitudes))
     if shape is None:
         raise relax.EquilibriumError("the membrane finds no rest under the forces that were kept")
     keep = np.zeros(len(amplitudes), dtype=bool)
-    shape = round_supports(problem, shape, keep, lambda record: None).shape
+    shape = round_supports(problem, shape, keep, progress).shape
     return shape.positions, problem.all_forces(shape.amplitudes)
 
 

@@ -16,16 +16,29 @@ Row = Mapping[str, Any]
 PACKAGES = ("relax-tensile", "numpy", "scipy", "clarabel", "cvxpy")
 
 
-def measured(description: str, sizes: Iterable[str], rows_of: Callable[[str], Sequence[Row]]) -> Sequence[Row]:
-    """Rows of the size that the command line asks for, printed, and written where `--output` says."""
+def measured(
+    description: str,
+    sizes: Iterable[str],
+    rows_of: Callable[[str], Sequence[Row]],
+    draw: Callable[[Path, Sequence[Row]], None] | None = None,
+) -> Sequence[Row]:
+    """Rows of the size that the command line asks for, printed, and written where `--output` says.
+
+    `draw` makes pictures of them in the folder of `--pictures`.
+    """
     parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--size", choices=list(sizes), default="full")
     parser.add_argument("--output", type=Path, help="a CSV file for the rows")
+    if draw is not None:
+        parser.add_argument("--pictures", type=Path, help="a folder for the pictures")
     chosen = parser.parse_args()
     rows = rows_of(chosen.size)
     print_table(rows)
     if chosen.output:
         write_rows(chosen.output, rows)
+    if draw is not None and chosen.pictures:
+        chosen.pictures.mkdir(parents=True, exist_ok=True)
+        draw(chosen.pictures, rows)
     return rows
 
 

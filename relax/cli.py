@@ -13,20 +13,25 @@ import click
 
 from relax.design.methods import METHODS
 from relax.errors import InputError, RelaxError
+from relax.exchange import completion, export, new
 from relax.screen import print_check, print_design, progress, warn
 from relax.shell import (
     BAD_INPUT,
     DONE,
     INTERRUPTED,
     NOT_CONVERGED,
+    complete_names,
+    complete_starts,
     hold_interrupts,
     json_option,
     output_option,
     quiet_option,
+    result_argument,
+    scene_argument,
     set_option,
     start_of,
 )
-from relax.studies import compare, explain, path
+from relax.studies import compare, explain, path, plot
 
 if TYPE_CHECKING:
     from relax.design.solve import Design
@@ -36,12 +41,13 @@ BACKENDS = "auto, working-set, clarabel, osqp (vertical supports), cvxpy (readab
 PENALTIES = "power (the paper's), group-lasso, log-sum, mcp, scad, count"
 EXAMPLE = """\b
 Example, from the project's folder:
+    relax new roof.obj                writes roof.toml, a scene file to start from
     relax solve data/tent.toml        writes tent-result/
     relax check tent-result           judges it again from its files alone
 """
 EXIT_STATUS = """\b
 Exit status: 0 done; 1 ran but did not converge (the result is written and says so);
-2 bad input (one sentence, nothing written); 130 interrupted (solve, path, compare: what there is is written).
+2 bad input (one sentence, nothing written); 130 interrupted (what there is is written; form: nothing).
 """
 
 
@@ -103,14 +109,23 @@ def app() -> None:
 
 
 @app.command(epilog="\b\nExample: relax solve data/tent.toml --set penalty.weight=0.02 -o tent-light")
-@click.argument("scene", metavar="SCENE.toml", type=click.Path(path_type=Path))
+@scene_argument
 @output_option("<scene name>-result in the current folder; ours in it is replaced, other files are kept")
-@click.option("--method", metavar="M", help=f"Solver: {', '.join(METHODS)}.")
-@click.option("--backend", metavar="B", help=f"Who solves a convex step: {BACKENDS}.")
-@click.option("--penalty", metavar="P", help=f"{PENALTIES}; some need parameters, given with --set.")
+@click.option("--method", metavar="M", shell_complete=complete_names("solver", "method"), help=f"Solver: {', '.join(METHODS)}.")
+@click.option(
+    "--backend", metavar="B", shell_complete=complete_names("solver", "backend"), help=f"Who solves a convex step: {BACKENDS}."
+)
+@click.option(
+    "--penalty",
+    metavar="P",
+    shell_complete=complete_names("penalty", "name"),
+    help=f"{PENALTIES}; some need parameters, given with --set.",
+)
 @click.option("--weight", metavar="K", type=float, help="Weight of the penalty: larger means fewer supports.")
 @click.option("--exponent", metavar="A", type=float, help="Exponent of the power penalty, above 0 and at most 1.")
-@click.option("--start", metavar="DIR", help='A result folder to start from, or "auto", "target", "heavy".')
+@click.option(
+    "--start", metavar="DIR", shell_complete=complete_starts, help='A result folder to start from, or "auto", "target", "heavy".'
+)
 @set_option
 @json_option
 @quiet_option
@@ -160,13 +175,13 @@ def _overrides(scene: Path, options: Mapping[str, Any]) -> list[str]:
 
 
 @app.command(epilog="\b\nExample: relax form tent-result")
-@click.argument("result", metavar="RESULT_DIR", type=click.Path(path_type=Path))
+@result_argument
 @output_option("<name>-form-result beside RESULT_DIR, <name> without its -result")
 @click.option(
     "--method",
     type=click.Choice(["newton", "dynamic-relaxation", "force-density"]),
     default="newton",
-    help="How to find the shape; where it is unique all three agree.",
+    help="How to find the shape; where it is unique all three agree. Default: newton.",
 )
 @json_option
 @quiet_option
@@ -195,7 +210,7 @@ def form(result: Path, output: Path | None, method: str, **options: Any) -> int:
 
 
 @app.command(epilog="\b\nExample: relax check tent-result")
-@click.argument("result", metavar="RESULT_DIR", type=click.Path(path_type=Path))
+@result_argument
 @click.option("--json", "as_json", is_flag=True, help="Print result.json with the recomputed figures, `agrees` and `differing`.")
 @quiet_option
 def check(result: Path, *, as_json: bool, quiet: bool) -> int:
@@ -227,9 +242,11 @@ def _finish(design: "Design", folder: Path, read_seconds: float, options: Mappin
     """Write the result, then say what it is; whether Ctrl-C came meanwhile, which does not lose a finished run."""
     with hold_interrupts() as came:
         from relax.files import write_result
+        from relax.plots.page import draw_page
         from relax.plots.picture import draw_picture
 
-        write_result(folder, design, read_seconds, {"picture.png": lambda path: draw_picture(design, path)})
+        pictures = {"picture.png": lambda path: draw_picture(design, path), "view.html": lambda path: draw_page(design, path)}
+        write_result(folder, design, read_seconds, pictures)
     try:
         if options["as_json"]:
             click.echo((folder / "result.json").read_text(encoding="utf-8"), nl=False)
@@ -241,7 +258,7 @@ def _finish(design: "Design", folder: Path, read_seconds: float, options: Mappin
     return bool(came)
 
 
-for command in (compare, path, explain):
+for command in (compare, path, explain, plot, new, export, completion):
     app.add_command(command)
 
 if __name__ == "__main__":

@@ -20,6 +20,7 @@ class Stop(Enum):
     LIMIT = "the largest number of steps was taken before the tolerance was reached"
     NON_FINITE = "a figure is no longer finite: the scene is too badly scaled or holds a singular part"
     INTERRUPTED = "interrupted: this is the best result so far"
+    STOPPED = "stopped by the callback: this is the best result so far"
     SLACK = (
         "no equilibrium was found: a region of the membrane is slack, nothing holds it; raise the prestress (lower rest_scale)"
     )

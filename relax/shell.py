@@ -1,5 +1,6 @@
-"""What the commands share: exit statuses, options, the start that a scene names, and Ctrl-C."""
+"""What the commands share: exit statuses, arguments and options and how a shell completes them, the start of a scene, Ctrl-C."""
 
+import glob
 import os
 import signal
 import threading
@@ -9,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.shell_completion import CompletionItem
 
 from relax.errors import InputError
 
@@ -35,8 +37,71 @@ rows_option = click.option("--json", "as_json", is_flag=True, help="Print a JSON
 quiet_option = click.option(
     "--quiet", is_flag=True, help="No progress and no summary; warnings and errors stay, and --json still prints."
 )
+
+
+def _scenes(incomplete: str) -> list[str]:
+    """Scene files that begin like this, here or a folder further down."""
+    return sorted(f for depth in ("*.toml", "*/*.toml") for f in glob.glob(glob.escape(incomplete) + depth))
+
+
+def _results(incomplete: str) -> list[str]:
+    """The same of folders that hold a result."""
+    found = [f for depth in ("*", "*/*") for f in glob.glob(glob.escape(incomplete) + depth + "/result.json")]
+    return sorted(os.path.dirname(name) for name in found)
+
+
+def complete_scenes(_context: click.Context, _parameter: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    """Scene files, and folders where there are none."""
+    return [CompletionItem(name) for name in _scenes(incomplete)] or [CompletionItem(incomplete, type="dir")]
+
+
+def complete_results(_context: click.Context, _parameter: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    """Result folders, and other folders where there are none."""
+    return [CompletionItem(name) for name in _results(incomplete)] or [CompletionItem(incomplete, type="dir")]
+
+
+def complete_starts(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    """The starts that have a name, and result folders."""
+    named = [CompletionItem(name) for name in ("auto", "target", "heavy") if name.startswith(incomplete)]
+    return named + complete_results(context, parameter, incomplete)
+
+
+def complete_names(section: str, key: str) -> Callable[[click.Context, click.Parameter, str], list[CompletionItem]]:
+    """The names that a key of the scene takes."""
+
+    def complete(_context: click.Context, _parameter: click.Parameter, incomplete: str) -> list[CompletionItem]:
+        from relax.files.schema import SCHEMA  # loads scipy, which only a shell that asks waits for
+
+        return [CompletionItem(name) for name in SCHEMA[section][key].possible if name.startswith(incomplete)]
+
+    return complete
+
+
+def complete_keys(_context: click.Context, _parameter: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    """section.key= of the format, then the names that the key takes, in TOML's quotes."""
+    from relax.files.schema import SCHEMA
+
+    keys = {f"{section}.{name}": key.possible for section, names in SCHEMA.items() for name, key in names.items()}
+    word, sign, _ = incomplete.partition("=")
+    if sign:
+        names = keys.get(word, ())
+        return [CompletionItem(f'{word}="{name}"') for name in (() if isinstance(names, str) else names)]
+    return [
+        CompletionItem(f"{name}=", help=words if isinstance(words, str) else " | ".join(words))
+        for name, words in keys.items()
+        if name.startswith(incomplete)
+    ]
+
+
+scene_argument = click.argument("scene", metavar="SCENE.toml", type=click.Path(path_type=Path), shell_complete=complete_scenes)
+result_argument = click.argument("result", metavar="RESULT_DIR", type=click.Path(path_type=Path), shell_complete=complete_results)
 set_option = click.option(
-    "--set", "assignments", metavar="SECTION.KEY=VALUE", multiple=True, help="Any key of the scene, as a TOML value."
+    "--set",
+    "assignments",
+    metavar="SECTION.KEY=VALUE",
+    multiple=True,
+    shell_complete=complete_keys,
+    help="Any key of the scene, as a TOML value.",
 )
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from relax.cli import run
 
 DATA = Path(__file__).resolve().parent.parent / "data"
-SCENES = ("tent", "tent-noisy", "five-masts", "scalloped", "bumps", "pavilion", "terrain")
+SCENES = ("tent", "tent-noisy", "five-masts", "scalloped", "sail", "bumps", "pavilion", "terrain")
 SLOW = ("bumps", "pavilion", "terrain")  # some seconds each
 
 

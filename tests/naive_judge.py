@@ -135,6 +135,44 @@ def residuals(arrays, settings, lam):
     return stationarity, max(off, default=0.0) if np.isfinite(steepest) else None
 
 
+def floating_parts(arrays):
+    """The vertices of each connected part that has no fixed one, by spreading labels along edges."""
+    label = np.arange(len(arrays["fixed"]))
+    for _ in label:
+        for a, b in arrays["edges"]:
+            label[a] = label[b] = min(label[a], label[b])
+    return [np.flatnonzero(label == one) for one in np.unique(label) if not arrays["fixed"][label == one].any()]
+
+
+def translations(arrays, free):
+    """Columns that move one such part along one axis, on the free vertices."""
+    columns = []
+    for part in floating_parts(arrays):
+        for axis in range(3):
+            move = np.zeros((len(arrays["fixed"]), 3))
+            move[part, axis] = 1.0
+            columns.append(move[free].ravel())
+    return np.array(columns).reshape(-1, 3 * len(free)).T
+
+
+def with_multipliers(arrays, settings, lam):
+    """Duals (V, 3) with one vector added a floating part, so that the mean over its supports of lam + dR vanishes."""
+    p, lam = arrays["forces"], lam.copy()
+    slope = profile(settings["penalty"])[1]
+    for part in floating_parts(arrays):
+        total, count = np.zeros(3), 0
+        for i in part:
+            size = np.linalg.norm(p[i])
+            if size == 0 and i not in settings["supports"]["always"]:
+                continue
+            count += 1
+            total += lam[i]
+            if settings["rounding"]["refit"] == "penalised" and size > 0:
+                total += arrays["support_weight"][i] * slope(size) * p[i] / size
+        lam[part] -= total / max(count, 1)
+    return lam
+
+
 def naive_figures(arrays, settings):
     """Every figure of result.json but the counters."""
     law = settings["membrane"]["springs"]
@@ -149,8 +187,14 @@ def naive_figures(arrays, settings):
     scale = max(np.abs(tension).max(), size.max(), np.linalg.norm(arrays["loads"], axis=1).max())
     pull = np.concatenate([2 * arrays["metric"][i] @ y[i] for i in free])
     lam = np.zeros_like(x)
-    lam[free] = np.linalg.solve(stiffness, pull).reshape(-1, 3)
-    stationarity, off_support = residuals(arrays, settings, lam)
+    moves = translations(arrays, free)
+    # a stiffness of one of its own along each translation: what the dual is there is the multiplier's to say
+    whole = stiffness + moves @ moves.T
+    lam[free] = np.linalg.solve(whole, pull).reshape(-1, 3)
+    stationarity, off_support = residuals(arrays, settings, with_multipliers(arrays, settings, lam))
+    drift = [np.linalg.norm(pull @ moves[:, 3 * part : 3 * part + 3]) for part in range(moves.shape[1] // 3)]
+    size_of_scene = np.linalg.norm(np.ptp(arrays["clean_target"], axis=0))
+    stationarity = max([stationarity, *(one * size_of_scene / (distance + penalty) for one in drift)])
     length = np.linalg.norm(x[arrays["edges"][:, 1]] - x[arrays["edges"][:, 0]], axis=1)
     slack = arrays["spring_constant"] < 0 if law == "force-density" else length < arrays["rest_length"]
     figures = {
@@ -162,7 +206,7 @@ def naive_figures(arrays, settings):
         "equilibrium": np.linalg.norm((f + p + arrays["loads"])[free], axis=1).max() / scale,
         "stationarity": stationarity,
         "off_support": off_support,
-        "stable": positive_definite(stiffness),
+        "stable": positive_definite(whole),
         "tension_min": tension.min(),
         "tension_max": tension.max(),
         "slack_share": slack.mean(),

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ from relax.files import load_result
 from relax.membrane.formers import FORMERS
 from relax.sparsity.penalties import PENALTIES
 
+DATA = Path(__file__).parents[1] / "data"
 QUICK = "[penalty]\nweight = 0.02\n"
 
 
@@ -53,7 +55,7 @@ def test_solve_writes_a_result_and_says_what_it_is(here, capfd):
     assert f"{vertex:8}  mast" in out
     assert err.startswith("step 0: objective ") and len(err.splitlines()) > 3
     assert names(here / "hill-result") == [
-        *("membrane.obj", "membrane.vtu", "picture.png", "result.json", "result.npz", "supports.csv", "trace.npz")
+        *("membrane.obj", "membrane.vtu", "picture.png", "result.json", "result.npz", "supports.csv", "trace.npz", "view.html")
     ]
     assert (here / "hill-result" / "picture.png").read_bytes()[:4] == b"\x89PNG"
 
@@ -179,6 +181,29 @@ BAD = [
         ["solve", "hill.toml", "--penalty", "count", "--set", "penalty.weight_fraction=0.1"],
         "jumps at zero, so no weight is the largest",
     ),
+    (
+        ["solve", "hill.toml", "--penalty", "count", "--method", "reweighted-l1"],
+        'use the method "sequential" and the back-end "auto"',
+    ),
+    (
+        ["solve", "hill.toml", "--set", "membrane.cables=[{ path = [0, 1], stifness = 1.0 }]"],
+        "(entry 0: stifness is unknown in it): expected a list of tables { path = [vertices], stiffness = ",
+    ),
+    (
+        ["solve", "hill.toml", "--set", 'membrane.cables=[{ path = [0, "x"], stiffness = 1.0 }]'],
+        '(entry 0: path: entry 1 is "x"): expected a list of tables',
+    ),
+    (
+        ["solve", "hill.toml", "--set", "supports.candidates={ box = [[1, 1], [0, 0]] }"],
+        "(box: its second corner lies left of the first or below it: swap them)",
+    ),
+    (
+        ["solve", "hill.toml", "--set", "supports.candidates={ box = [[5, 5], [6, 6]] }"],
+        "no vertex lies in the box; the target reaches from x = 0 to 1.2 and from y = 0 to 1.2: move the box",
+    ),
+    (["solve", "hill.toml", "--set", "weight=1"], "weight: unknown section; perhaps penalty.weight is meant"),
+    (["solve", "hill.npy"], "hill.npy: this is a shape, and a scene file is expected: relax new writes one for it"),
+    (["check", "hill.toml"], "hill.toml: this is a file, and a result folder is expected"),
     (["solve", "hill.toml", "--weight", "-1"], "penalty.weight = -1.0: expected a number above 0"),
     (["solve", "hill.toml", "--weight", "nan"], "penalty.weight = nan: expected a number above 0"),
     (["solve", "hill.toml", "--weight", "x"], "'x' is not a valid float"),
@@ -189,7 +214,7 @@ BAD = [
     (["solve", "hill.toml", "--set", 'target.mesh="range.obj"'], "face 0 names vertex 8"),
     (["solve", "hill.toml", "--set", 'target.mesh="lonely.obj"'], "vertex 3 belongs to no face"),
     (["solve", "hill.toml", "--set", 'target.mesh="steep.obj"', "--set", "supports.fixed=[0]"], "a rest length of zero"),
-    (["solve", "hill.toml", "--set", 'supports.fixed="none"'], "no vertex is fixed"),
+    (["solve", "hill.toml", "--set", 'supports.fixed="none"', "--set", 'supports.direction="up"'], "has no fixed vertex"),
     (["solve", "hill.toml", "--set", "membrane.stiffness=0"], "membrane.stiffness = 0: expected a number above 0"),
     (["solve", "hill.toml", "--set", "membrane.stiffness=-1"], "membrane.stiffness = -1"),
     (["solve", "hill.toml", "--set", "membrane.rest_scale=3.0"], "every edge is slack"),
@@ -202,7 +227,7 @@ BAD = [
     (["solve"], "Missing argument 'SCENE.toml'; relax solve --help"),
     (["solve", "hill.toml", "--bogus"], "No such option '--bogus'"),
     (["sovle"], "No such command 'sovle'"),
-    (["plot", "x"], "No such command 'plot'"),
+    (["plot", "x"], "x: no such folder"),
     (["check", "nowhere"], "nowhere: no such folder"),
     (["check", "."], "this folder holds no result"),
     (["form", "nowhere"], "nowhere: no such folder"),
@@ -231,6 +256,13 @@ def test_bad_input_is_one_sentence_exit_2_and_nothing_written(here, capfd, argum
     assert names(here) == before
 
 
+def test_round_off_in_a_place_is_zero_in_the_summary(here, capfd):
+    assert run(["solve", str(DATA / "sail.toml"), "-o", "sail"]) == 0  # its mast stands at x = y = 0
+    rows = [line for line in capfd.readouterr().out.splitlines() if " mast " in line or " tie-down " in line]
+    assert len(rows) == 5 and len({len(row) for row in rows}) == 1
+    assert next(row for row in rows if " mast " in row).split()[2:4] == ["0", "0"]
+
+
 def test_nothing_is_solved_where_nothing_can_be_written(here, monkeypatch):
     monkeypatch.setattr("relax.files.scenes.load_scene", lambda *_: pytest.fail("the scene was read"))
     (here / "taken").write_text("")
@@ -241,10 +273,8 @@ def test_help_shows_examples_and_no_command_of_later_versions(capfd):
     assert run(["--help"]) == 0
     out = capfd.readouterr().out
     assert "relax solve data/tent.toml" in out and "relax check tent-result" in out
-    for command in ("solve", "form", "check", "compare", "path", "explain"):
+    for command in ("solve", "form", "check", "compare", "path", "explain", "plot", "new", "export", "completion"):
         assert f"\n  {command} " in out
-    for later in ("plot", "new"):
-        assert f"\n  {later} " not in out
     assert run([]) == 0
     assert capfd.readouterr().out.rstrip() == out.rstrip()
     for command in ("solve", "check", "compare", "path", "explain", "form"):

@@ -16,7 +16,7 @@ RUNS = {name: (name,) for name in SCENES} | {
     "five-masts, loaded": ("five-masts", "--set", "membrane.loads=[0.0, 1.0, -5.0]", "--weight", "0.01"),
     "tent, force density": ("tent", "--set", 'membrane.springs="force-density"', "--exponent", "0.8", "--weight", "0.05"),
 }
-FILES = ("result.json", "result.npz", "trace.npz", "supports.csv", "membrane.obj", "membrane.vtu", "picture.png")
+FILES = ("result.json", "result.npz", "trace.npz", "supports.csv", "membrane.obj", "membrane.vtu", "picture.png", "view.html")
 KEYS = """settings stop iterations factorizations seconds skipped objective distance penalty rms_distance supports equilibrium
 stationarity off_support stable tension_min tension_max slack_share converged versions seed""".split()
 SHAPES = {

@@ -10,8 +10,8 @@ from PIL import Image
 from test_trade_off import curve_of
 
 import relax
-from relax.plots import curve as curve_plot
 from relax.plots import field as field_plot
+from relax.plots.style import BEST, INK, WORTH, plain_marks
 
 
 def drawn(path):
@@ -29,8 +29,8 @@ def test_the_knee_is_marked_on_both_sides(points, tmp_path):
     curve = relax.trade_off(curve_of(*points))
     relax.draw_trade_off(curve, tmp_path / "curve.png", "title")
     pixels = drawn(tmp_path / "curve.png")
-    assert pixels.shape == (720, 1440, 3)
-    marks = near(pixels, curve_plot.KNEE)
+    assert pixels.shape == (900, 2100, 3)
+    marks = near(pixels, BEST)
     height, width = pixels.shape[:2]
     above = marks[marks[:, 0] < 0.85 * height]  # without the legend
     left, right = (above[above[:, 1] < width / 2], above[above[:, 1] >= width / 2])
@@ -45,7 +45,7 @@ def test_a_farther_knee_is_drawn_higher(tmp_path):
         curve = relax.trade_off(curve_of((0, 1.0), (1, rms), (10, 0.01)))
         assert curve.knee == 1
         relax.draw_trade_off(curve, tmp_path / "curve.png")
-        heights.append(near(drawn(tmp_path / "curve.png"), curve_plot.KNEE)[:, 0].min())
+        heights.append(near(drawn(tmp_path / "curve.png"), BEST)[:, 0].min())
     assert heights[0] < heights[1]
 
 
@@ -57,13 +57,13 @@ def test_the_largest_value_is_marked_where_it_is(tmp_path):
         values[vertex] = 2.0
         relax.draw_field(scene, values, [4 * 9 + 4], tmp_path / "field.png")
         pixels = drawn(tmp_path / "field.png")
-        assert pixels.shape == (936, 1008, 3)
+        assert pixels.shape == (1125, 1050, 3)
         marks = near(pixels, "#d55e00")
         marks = marks[marks[:, 0] > 120]  # without the legend
         spots.append(marks.mean(axis=0))
         # the triangles around it have the colour of their corners' mean, of a scale that ends at the largest value
-        dark = near(pixels, field_plot.ERROR((2.0 + 0.1 + 0.1) / 3 / 2.0)[:3])
-        assert np.abs(dark[dark[:, 0] < 780].mean(axis=0) - spots[-1]).max() < 25
+        dark = near(pixels, WORTH((2.0 + 0.1 + 0.1) / 3 / 2.0)[:3])
+        assert np.abs(dark[dark[:, 0] < 920].mean(axis=0) - spots[-1]).max() < 25
     assert spots[0][0] > spots[1][0] and spots[0][1] < spots[1][1]
 
 
@@ -81,7 +81,7 @@ def test_what_was_asked_for_is_marked_and_the_legend_fits(tmp_path):
     assert (pixels[:, :12] == 1).all() and (pixels[:, -12:] == 1).all()
     plain = tmp_path / "plain.png"
     relax.draw_trade_off(curve, plain, "title", curve.knee)
-    assert len(near(pixels, curve_plot.ASKED)) > len(near(drawn(plain), curve_plot.ASKED)) + 200
+    assert len(near(pixels, INK)) > len(near(drawn(plain), INK)) + 200
 
 
 def test_a_short_axis_has_plain_marks_apart():
@@ -90,7 +90,7 @@ def test_a_short_axis_has_plain_marks_apart():
     axes = figure.subplots()
     axes.set_xscale("log")
     axes.plot([0.2, 6.0], [0.0, 1.0])
-    curve_plot._plain_marks(axes.xaxis, np.array([0.2, 6.0]))
+    plain_marks(axes.xaxis, np.array([0.2, 6.0]))
     FigureCanvasAgg(figure).draw()
     shown = [label.get_text() for label in axes.get_xticklabels(which="both") if label.get_text()]
     assert {"0.5", "1", "2", "5"} <= set(shown) and not any("10^" in text for text in shown)
@@ -100,4 +100,4 @@ def test_small_values_of_a_field_are_written_out(tmp_path):
     """No power of ten is split off into the words below the bar: the right end of their line is white."""
     scene = zoo.grid_scene(5, zoo.hill)
     relax.draw_field(scene, np.where(scene.fixed, np.nan, 1.56e-6), [], tmp_path / "field.png", field_plot.FIT)
-    assert (drawn(tmp_path / "field.png")[892:, 965:] == 1).all()
+    assert (drawn(tmp_path / "field.png")[1070:, 1010:] == 1).all()

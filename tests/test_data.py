@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import relax
 from relax.arrays import Floats
 from relax.files import load_scene
 from relax.files.meshes import read_mesh
@@ -16,8 +17,8 @@ from relax.membrane.scene import Scene
 
 ROOT = Path(__file__).resolve().parent.parent
 DATA = ROOT / "data"
-SCENES = ("tent", "tent-noisy", "bumps", "pavilion", "five-masts", "scalloped", "terrain")
-PLANTED = ("tent", "five-masts", "scalloped")
+SCENES = ("tent", "tent-noisy", "bumps", "pavilion", "five-masts", "scalloped", "sail", "terrain")
+PLANTED = ("tent", "five-masts", "scalloped", "sail")
 
 
 @pytest.fixture(scope="module")
@@ -163,3 +164,14 @@ def test_the_terrain_has_squares_of_250_metres_and_measured_heights():
     scene = load_scene(DATA / "terrain.toml")
     np.testing.assert_allclose(np.ptp(scene.target, axis=0)[:2], [8750.0, 7250.0])
     assert 230 < scene.target[:, 2].min() < scene.target[:, 2].max() < 1080  # what the source holds
+
+
+def test_the_sail_is_held_by_supports_alone():
+    scene, forces = load_scene(DATA / "sail.toml"), planted_forces("sail", 361)
+    assert not scene.fixed.any()
+    assert np.flatnonzero(forces.any(axis=1)).tolist() == [0, 18, 180, 342, 360]
+    assert not forces.sum(axis=0).any()
+    noisy = relax.load_scene(DATA / "sail.toml", {"target.noise": {"sigma": 0.03, "seed": 0}})
+    design = relax.solve(relax.Problem(noisy, weight=0.003))
+    assert design.certificate.converged and design.certificate.stable
+    assert np.flatnonzero(design.forces.any(axis=1)).tolist() == [0, 18, 180, 342, 360]

@@ -165,7 +165,8 @@ def test_it_does_not_take_over_where_newton_knows():
     scene, applied = scene_and_forces("hookean")
     first = find_equilibrium(scene.membrane, scene.start, applied)
     found = form_find(scene.membrane, scene.start, applied)
-    assert np.array_equal(found.positions, first.positions) and found.factorizations == first.factorizations
+    assert np.allclose(found.positions, first.positions, rtol=0, atol=1e-12)  # but for the last digits, which cost a solve or two
+    assert found.ran == ("newton",) and found.factorizations == first.factorizations
     loose = Membrane(np.array([[0, 1]]), np.ones(1), np.ones(1), Hookean(), np.zeros(2, dtype=bool))
     gone = form_find(loose, np.array([[0.0, 0, 0], [1, 0, 0]]), np.array([[0.0, 0, 1], [0, 0, 0]]))
     assert gone.stop is Stop.LOST_SUPPORT and gone.ran == ("newton",)

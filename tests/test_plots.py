@@ -19,7 +19,7 @@ from relax.membrane.mesh import grid_mesh
 from relax.membrane.scene import Scene, build_scene
 from relax.plots.perspective import cut_lines, face_patches, line_patches, paint, place_camera, slice_surface
 from relax.plots.picture import draw_picture
-from relax.plots.view import MAST, STAY, TIE_DOWN
+from relax.plots.style import MAST, STAY, TIE_DOWN
 
 
 def grid_scene(diagonals: str = "alternating", unit: float = 1.0, fixed: str = "boundary") -> Scene:
@@ -51,7 +51,7 @@ def drawn(case: SimpleNamespace, folder: Path) -> Floats:
     draw_picture(case, folder / "picture.png")
     with Image.open(folder / "picture.png") as image:
         assert image.format == "PNG"
-        assert image.size == (1600, 760)
+        assert image.size == (2100, 990)
         return np.asarray(image.convert("RGB")) / 255.0
 
 
@@ -62,7 +62,7 @@ def coloured(pixels: Floats, colour: tuple[float, ...]) -> int:
 @pytest.mark.parametrize("diagonals", ["alternating", "none", "both"])
 def test_a_picture_without_supports(diagonals, tmp_path):
     pixels = drawn(design(grid_scene(diagonals), {}), tmp_path)
-    left, right = pixels[150:600, :1000], pixels[100:560, 1100:]
+    left, right = pixels[200:780, :1100], pixels[130:730, 1230:1730]
     assert left.std() > 0.05
     assert right.std() > 0.05
     assert coloured(pixels, TIE_DOWN) == 0
@@ -80,8 +80,8 @@ def test_each_kind_of_support_has_its_colour(tmp_path):
 @pytest.mark.parametrize("unit", [1e-6, 1e5])
 def test_tiny_and_huge_scenes_look_like_any_other(unit, tmp_path):
     forces = {31: (0.0, 0.0, 1.0), 24: (0.0, 0.0, -1.0)}
-    usual = drawn(design(grid_scene(), forces), tmp_path)[150:600, 200:900]
-    other = drawn(design(grid_scene(unit=unit), forces), tmp_path)[150:600, 200:900]
+    usual = drawn(design(grid_scene(), forces), tmp_path)[200:780, 260:1100]
+    other = drawn(design(grid_scene(unit=unit), forces), tmp_path)[200:780, 260:1100]
     assert np.abs(usual - other).mean() < 0.02
 
 
@@ -89,7 +89,7 @@ def test_a_foot_far_away_does_not_shrink_the_rest(tmp_path):
     scene = grid_scene()
     upright = drawn(design(scene, {31: (0.0, 0.0, 1.0)}), tmp_path)
     flat = drawn(design(scene, {31: (1.0, 0.0, 1e-6)}), tmp_path)
-    paper = [int((pixels[150:600, :1000].min(axis=-1) < 0.99).sum()) for pixels in (upright, flat)]
+    paper = [int((pixels[200:780, :1100].min(axis=-1) < 0.99).sum()) for pixels in (upright, flat)]
     assert paper[1] > 0.5 * paper[0]
 
 
@@ -113,7 +113,7 @@ def test_the_title_says_when_a_run_did_not_converge(tmp_path):
     case = design(grid_scene(), {})
     usual = drawn(case, tmp_path)
     case.certificate.converged = False
-    assert not np.array_equal(drawn(case, tmp_path)[:60], usual[:60])
+    assert not np.array_equal(drawn(case, tmp_path)[:80], usual[:80])
 
 
 def test_drawing_leaves_pyplot_and_its_global_state_alone():

@@ -1,6 +1,7 @@
-"""The README's Python runs as it stands, from the project's folder, its blocks one after the other."""
+"""The README's Python and its commands run as they stand, one after the other."""
 
 import re
+import shlex
 from pathlib import Path
 
 import pytest
@@ -16,7 +17,7 @@ def test_python_blocks_run(tmp_path, monkeypatch):
     (tmp_path / "data").symlink_to(ROOT / "data")
     monkeypatch.chdir(tmp_path)
     blocks = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
-    assert len(blocks) == 5
+    assert len(blocks) == 6
     names = {}
     for block in blocks:
         exec(compile(block, "README.md", "exec"), names)
@@ -24,10 +25,15 @@ def test_python_blocks_run(tmp_path, monkeypatch):
     assert (tmp_path / "tent-result" / "result.json").exists()
 
 
-@pytest.mark.parametrize("command", re.findall(r"^relax .*?(?=\s+#|$)", README, re.MULTILINE))
-def test_commands_are_understood(command):
-    words = command.split()
-    assert CliRunner().invoke(relax.cli.app, [words[1], "--help"]).exit_code == 0
+@pytest.mark.slow
+def test_commands_run(tmp_path, monkeypatch):
+    (tmp_path / "data").symlink_to(ROOT / "data")
+    monkeypatch.chdir(tmp_path)
+    commands = re.findall(r"^relax .*$", README, re.MULTILINE)
+    assert {line.split()[1] for line in commands} == set(relax.cli.app.commands) - {"completion"}
+    for line in commands:
+        assert relax.cli.run(shlex.split(line, comments=True)[1:]) == 0, line
+    assert "_RELAX_COMPLETE" in CliRunner().invoke(relax.cli.app, ["completion", "bash"]).output
 
 
 @pytest.mark.parametrize("link", sorted(set(re.findall(r"\]\(([^)]+)\)", README))))

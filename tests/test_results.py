@@ -310,7 +310,7 @@ BROKEN = [
     (lambda folder: edit_arrays(folder, forces=np.zeros((3, 3))), "forces has the shape (3, 3), expected (V, 3) with V = 49"),
     (lambda folder: edit_arrays(folder, edges=np.zeros((3,), int)), "edges has the shape (3,), expected (E, 2)"),
     (lambda folder: edit_arrays(folder, fixed=np.zeros(49)), "fixed holds float64, expected bool"),
-    (lambda folder: edit_arrays(folder, fixed=np.array([None] * 49)), "it is no archive of numpy arrays"),
+    (lambda folder: edit_arrays(folder, fixed=np.array([None] * 49)), "fixed: it holds pickled objects"),
     (changed("positions", (3, 1), np.nan), "positions is not finite at index [3, 1]"),
     (changed("edges", (2, 1), 99), "edges: edge 2 names vertex 99; there are vertices 0 to 48"),
     (changed("edges", 2, [5, 4]), "edges: edge 2 is not in the order a < b"),

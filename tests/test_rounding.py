@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import zoo
@@ -6,6 +8,7 @@ from test_refit import start
 from relax.design.problem import Problem
 from relax.design.refit import refit
 from relax.design.rounding import round_supports
+from relax.design.solve import solve
 from relax.sparsity.supports import sizes
 
 
@@ -108,3 +111,13 @@ def test_every_refit_reports_its_steps(problem, true):
     assert next(record["supports"] for record in seen) == 3
     assert [record["supports"] for record in seen][-1] == 2
     assert all(np.isfinite(record["objective"]) for record in seen)
+
+
+@pytest.mark.parametrize("ratio", [1e-2, 1e-4])
+def test_first_forces_on_a_soft_half_are_as_small_as_it_needs(ratio):
+    """A seat that is a share of the largest force turns a soft region over: Newton takes it away, and the dual goes on to ask."""
+    scene = zoo.grid_scene(7, zoo.hill, penalty__weight=0.01)
+    soft = scene.target[scene.mesh.edges].mean(axis=1)[:, 0] > 0.5
+    scene = replace(scene, spring_constant=scene.spring_constant * np.where(soft, ratio, 1.0))
+    said = solve(Problem(scene)).certificate
+    assert said.converged and said.off_support < 1

@@ -164,12 +164,20 @@ def test_a_target_that_is_no_number():
         ({"supports__fixed": [0, 9]}, "supports.fixed: vertex 9 does not exist; the target has vertices 0 to 8"),
         ({"supports__fixed": [-1]}, "supports.fixed: vertex -1 does not exist; the target has vertices 0 to 8"),
         ({"supports__fixed": list(range(9))}, "supports.fixed: every vertex is fixed, so no membrane is left to shape"),
-        ({"supports__fixed": "none"}, "supports.fixed: no vertex is fixed in the part of the membrane that holds vertex 0"),
-        ({"supports__fixed": []}, "supports.fixed: no vertex is fixed in the part of the membrane that holds vertex 0"),
+        (
+            {"supports__fixed": "none", "supports__direction": "up"},
+            "supports.direction: the part of the membrane",
+        ),
+        ({"supports__fixed": [], "supports__max_force": 1.0}, "supports.max_force: the part of the membrane that holds vertex 0"),
+        ({"supports__fixed": "none", "supports__candidates": [4]}, "has neither a fixed vertex nor two places for a support"),
+        ({"supports__fixed": "none", "target__metric": "height"}, "target.metric: the part of the membrane that holds vertex 0"),
         ({"supports__candidates": [9]}, "supports.candidates: vertex 9 does not exist; the target has vertices 0 to 8"),
         ({"supports__candidates": [4, 3]}, "supports.candidates: vertex 3 is fixed, so no support can act there"),
         ({"supports__candidates": []}, "supports.candidates: no vertex is left where a support may stand"),
-        ({"supports__candidates": {"box": [[2, 2], [3, 3]]}}, "supports.candidates: no vertex is left where a support may"),
+        (
+            {"supports__candidates": {"box": [[2, 2], [3, 3]]}},
+            "supports.candidates: no vertex lies in the box; the target reaches",
+        ),
         ({"supports__never": [4]}, "supports.candidates: no vertex is left where a support may stand"),
         ({"supports__never": [9]}, "supports.never: vertex 9 does not exist; the target has vertices 0 to 8"),
         ({"membrane__rest_scale": 1.5}, "membrane.rest_scale: every edge is slack in the wanted shape"),
@@ -182,8 +190,11 @@ def test_settings_that_do_not_fit_the_mesh(changes, sentence):
 
 
 def test_a_part_without_a_fixed_vertex_is_named():
-    said = refused(*two_squares(), supports__fixed=[0, 1])
+    said = refused(*two_squares(), supports__fixed=[0, 1], supports__candidates=[2, 3, 4])
     assert "the part of the membrane that holds vertex 4" in said
+    scene = build_scene(zoo.settings(supports__fixed=[0, 1]), *two_squares(), None)
+    assert "the part of the membrane that holds vertex 4 has no fixed vertex" in scene.warnings[0]
+    assert not build_scene(zoo.settings(supports__fixed="none"), *two_squares(), None).warnings
 
 
 def test_a_rest_mesh_of_another_size():

@@ -144,7 +144,10 @@ def test_bad_overrides(tmp_path, override, sentence):
         ("[membrane]\nstiffness = -2", "membrane.stiffness = -2"),
         ("[membrane]\nrest_scale = 1.5", "membrane.rest_scale: every edge is slack"),
         ('[membrane]\nrest = "nope.obj"', 'membrane.rest = "nope.obj": no such file'),
-        ('[supports]\nfixed = "none"', "supports.fixed: no vertex is fixed"),
+        (
+            '[supports]\nfixed = "none"\nmax_force = 1.0',
+            "supports.max_force: the part of the membrane that holds vertex 0",
+        ),
         ("[supports]\nfixed = [99]", "supports.fixed: vertex 99 does not exist; the target has vertices 0 to 48"),
         ("[supports]\ncandidates = [0]", "supports.candidates: vertex 0 is fixed"),
         ("[supports]\nnever = [49]", "supports.never: vertex 49 does not exist"),

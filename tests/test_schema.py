@@ -145,7 +145,10 @@ BAD = [
     ),
     ({"target": {**HEIGHTS, "area_weights": 1}}, "target.area_weights = 1: expected true or false"),
     (scene(membrane={"cables": [{"path": [0], "stiffness": 1}]}), "membrane.cables"),
-    (scene(membrane={"cables": [{"path": [0, 1]}]}), "membrane.cables = [{ path = [0, 1] }] (entry 0 is { path = [0, 1] })"),
+    (
+        scene(membrane={"cables": [{"path": [0, 1]}]}),
+        "membrane.cables = [{ path = [0, 1] }] (entry 0: stiffness is missing in it)",
+    ),
     (scene(membrane={"cables": [{"path": [0, 1], "stiffness": 0}]}), "expected a list of tables { path = [vertices], stiffness"),
     (scene(membrane={"cables": [{"path": [0, 1], "stiffness": 1, "rest_scale": 0}]}), "membrane.cables"),
     (scene(membrane={"cables": {"path": [0, 1], "stiffness": 1}}), "membrane.cables"),

@@ -284,3 +284,21 @@ def uneven(name, every=5, **changes):
     scene = planted(6, TWO_MASTS, sigma=0.02, **wanted).scene
     candidates = scene.candidates & ((np.arange(scene.mesh.vertices) % every != 0) if every else True)
     return replace(scene, support_weight=np.linspace(0.6, 1.4, scene.mesh.vertices), candidates=candidates)
+
+
+def floating(n=7, sigma=None, seed=0, **changes):
+    """A square of n x n vertices without a fixed one, pulled out and down at its corners and pushed up in the middle.
+
+    Loads in `changes` are shared out among the corners, so that the forces balance.
+    """
+    mesh, flat = grid(n)
+    bare = build_scene(settings(supports__fixed="none", **changes), mesh, flat, None)
+    forces, corners = np.zeros_like(flat), [0, n - 1, n * n - n, n * n - 1]
+    forces[corners] = np.sign(flat[corners] - 0.5) * [1.0, 1.0, 0.0] - [0.0, 0.0, 0.15]
+    forces[n * n // 2, 2] = 0.6
+    forces[corners] -= bare.loads.sum(axis=0) / 4
+    found = find_equilibrium(bare.membrane, flat, forces + bare.loads)
+    assert found.found, found.stop
+    noise = None if sigma is None else {"sigma": sigma, "seed": seed}
+    scene = build_scene(settings(supports__fixed="none", target__noise=noise, **changes), mesh, found.positions, flat)
+    return Planted(replace(scene, loads=bare.loads), forces, found.positions)

@@ -35,7 +35,9 @@ clarabel = solver("clarabel", "relax.convex.cone:solve_with_clarabel")
 
 
 def working_set(step: Subproblem, start: Floats) -> Solution:
-    """The working set; where too many candidates matter for it, the full cone program."""
+    """The working set; where too many candidates matter for it, or supports must balance, the full cone program."""
+    if step.resultants is not None:
+        return clarabel(step, start)
     solution = solve_on_working_set(step, start, _many(step))
     if solution.gap <= 10 * GAP:
         return solution
@@ -49,6 +51,8 @@ def working_set(step: Subproblem, start: Floats) -> Solution:
 
 def quick(step: Subproblem, start: Floats) -> Solution:
     """The working set alone, to a coarse gap or as far as it got: for a step whose only use is to start a sequence."""
+    if step.resultants is not None:
+        return clarabel(step, start)
     return solve_on_working_set(step, start, _many(step), COARSE)
 
 
@@ -75,7 +79,7 @@ def polish(step: Subproblem, raw: Floats, name: str) -> Solution:
     margin = max(1e-6, np.sqrt(max(rough.gap, 0.0)))
     stands = step.reach.pull(rough.dual) >= (1 - margin) * step.weights
     exact = np.where(stands[:, None], raw, 0.0)
-    if stands.sum() > _many(step):
+    if stands.sum() > _many(step) or step.resultants is not None:
         return certify(step, exact, name)
     fine = solve_on_working_set(step, exact, _many(step))
     best = fine if fine.gap <= rough.gap else certify(step, exact, name)

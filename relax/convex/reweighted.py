@@ -18,6 +18,7 @@ from relax.arrays import Floats, Ints, Mask
 from relax.convex.fit import fit_within, solve_definite
 from relax.sparsity.penalties import Penalty
 from relax.sparsity.reach import ANYTHING, Reach
+from relax.sparsity.resultants import Resultants
 from relax.sparsity.supports import sizes
 from relax.sparsity.surrogates import REWEIGHTED_L2, Continuation
 
@@ -25,6 +26,7 @@ GONE = 1e-3  # of the largest amplitude: a group that the reweighting has emptie
 RIDGE = 1e-2  # of the mean curvature: what the first amplitudes are damped by, where none are given
 DECIDED = 1 / 6  # of the largest amplitude: while the smoothing is wider, less than that share of it still counts as something
 UNDECIDED = 0.05  # of the largest amplitude: while the smoothing is wider, a support that its reach holds at zero may come back
+ALONE = 1e-9  # of the largest: a group that cannot move while the others keep the balance moves this little, by round-off
 ROUND_OFF = 1e-12  # of the mean curvature: what a matrix that is singular up to round-off is lifted by
 STILL = 1e-3  # relative change of every amplitude that a further reweighting is not worth
 SETTLING = 8  # reweightings on a support that was chosen; what digits they leave open Newton finds later
@@ -47,6 +49,8 @@ class Reweighted:
         c_g, the weight of phi for each group; one with 0 stands whatever comes.
     reach : Reach
         Of every group.
+    resultants : Resultants or None
+        What the groups of parts without a fixed vertex must add up to.
     """
 
     quadratic: Floats
@@ -54,9 +58,12 @@ class Reweighted:
     penalty: Penalty
     costs: Floats
     reach: Reach = ANYTHING
+    resultants: Resultants | None = None
 
     def value(self, amplitudes: Floats) -> float:
-        """The problem's value at amplitudes (k, c)."""
+        """The problem's value at amplitudes (k, c); infinite where they do not add up."""
+        if self.resultants is not None and not self.resultants.met(amplitudes):
+            return np.inf
         flat = amplitudes.ravel()
         smooth = flat @ (self.quadratic @ flat) + 2 * float(np.vdot(self.linear, amplitudes))
         return float(smooth + self.costs @ self.penalty.value(sizes(amplitudes)))
@@ -98,6 +105,9 @@ class Reweighted:
                 break
             stays = self._stays(members, size > max(GONE * size.max(initial=0.0), self.penalty.resolution))
             members, s, size = members[stays], s[stays], size[stays]
+        else:  # the last ones to leave took their share of the balance with them
+            if self.resultants is not None:
+                s = self._fit(members, self._parabola(members, size), s)
         return self._whole(members, s)
 
     def pruned(self, amplitudes: Floats) -> Floats:
@@ -115,10 +125,14 @@ class Reweighted:
                 return s
             inverse = self._inverse(members, self._parabola(members, sizes(s[members])))
             width = s.shape[1]
-            own = inverse.reshape(len(members), width, len(members), width)[priced, :, priced]
-            lowest = standing if self.reach.constrained else -(inverse @ self.linear[members].ravel()).reshape(-1, width)
+            if self.resultants is not None:
+                lowest = self.resultants.of(members).fitted_by(inverse, self.linear[members])
+                inverse = self.resultants.of(members).constrained(inverse)
+            else:
+                lowest = standing if self.reach.constrained else -(inverse @ self.linear[members].ravel()).reshape(-1, width)
             lowest = lowest[priced]
-            raised = np.einsum("gi,gi->g", lowest, np.linalg.solve(own, lowest[:, :, None])[:, :, 0])
+            own = inverse.reshape(len(members), width, len(members), width)[priced, :, priced]
+            raised = _raised(own, lowest)
             size = sizes(standing[priced])
             saved = self.costs[members[priced]] * self.penalty.value(size) - self._parabola(members[priced], size) * size**2
             worst = int(np.argmin(raised - saved))
@@ -160,6 +174,10 @@ class Reweighted:
         matrix, linear = self._matrix(members, curvature), self.linear[members]
         if self.reach.constrained:
             return fit_within(self.reach, matrix, linear, start)
+        if self.resultants is not None:
+            conditions = self.resultants.of(members)
+            both = solve_definite(matrix, np.column_stack([-linear.ravel(), conditions.matrix.T]))
+            return conditions.fitted(both[:, 0].reshape(linear.shape), both[:, 1:])
         return solve_definite(matrix, -linear.ravel()).reshape(linear.shape)
 
     def _inverse(self, members: Ints, curvature: Floats) -> Floats:
@@ -178,3 +196,12 @@ class Reweighted:
         amplitudes = np.zeros_like(self.linear)
         amplitudes[members] = s
         return amplitudes
+
+
+def _raised(own: Floats, lowest: Floats) -> Floats:
+    """v_g^T B_g^-1 v_g of blocks B (k, c, c) and vectors v (k, c); infinite where a group cannot be moved by itself."""
+    least = np.linalg.eigvalsh(own)[:, 0]
+    moves = least > ALONE * np.abs(own).max(initial=0.0)
+    raised = np.full(len(own), np.inf)
+    raised[moves] = np.einsum("gi,gi->g", lowest[moves], np.linalg.solve(own[moves], lowest[moves][:, :, None])[:, :, 0])
+    return raised

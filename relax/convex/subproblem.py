@@ -14,9 +14,10 @@ import numpy as np
 from scipy.sparse import csc_array
 
 from relax.arrays import Floats, Ints, Mask, lock_arrays
-from relax.errors import BackendError
+from relax.errors import BackendError, UnheldError
 from relax.factor import Factor
 from relax.sparsity.reach import ANYTHING, UPWARD, Reach
+from relax.sparsity.resultants import Resultants
 from relax.sparsity.supports import sizes
 
 ROUND_OFF = 1e-12  # of the largest possible pull: what counts as none where any would void the bound
@@ -46,6 +47,9 @@ class Subproblem:
         C and F of every group; as many axes as `rows` has columns.
     curvature : (m,) or None
         b, 0 or above: with weights of 0 the step is one of reweighted least squares (IRLS); None: 0 everywhere.
+    resultants : Resultants or None
+        Where K d = 0 for translations of some parts: what s must add up to there, for K d = h + B s to have a solution. The
+        factor then gives one of them, the best for the metric.
     """
 
     factor: Factor
@@ -56,6 +60,7 @@ class Subproblem:
     weights: Floats
     reach: Reach = ANYTHING
     curvature: Floats | None = None
+    resultants: Resultants | None = None
 
     def __post_init__(self) -> None:
         lock_arrays(self)
@@ -133,6 +138,7 @@ class Subproblem:
             self.weights * (force / length**2),
             replace(self.reach, largest=self.reach.largest / force),
             None if self.curvature is None else self.curvature * (force / length) ** 2,
+            None if self.resultants is None else replace(self.resultants, total=self.resultants.total / force),
         )
         return inner, force
 
@@ -221,24 +227,47 @@ def certify(step: Subproblem, amplitudes: Floats, ran: str = "") -> Solution:
     point theta lam with the best theta. A group that costs nothing allows no other dual than one that does not pull it: the
     displacement is first moved by those few columns of K^-1 to where it does not.
     """
-    amplitudes = step.reach.project(amplitudes)
+    amplitudes = _possible(step, amplitudes)
     moved = step.unsupported + step.factor.solve(step.spread(amplitudes))  # d + r
     pulled = step.metric @ moved
     dual = 2 * step.factor.solve(pulled)[step.rows]
     distance = float(moved @ pulled)
     size = sizes(amplitudes)
     value = distance + float(step.weights @ size) + float(step.bends @ size**2)
-    displacement, pull = moved - step.offset, step.reach.pull(dual)
+    displacement, multiplier, worth = moved - step.offset, step.nothing, 0.0
+    if step.resultants is not None:  # whose multiplier is free: the one that leaves least pull where the large forces are
+        slopes = np.divide(step.weights, size, out=2 * step.bends, where=size > 0)
+        multiplier = step.resultants.multiplier(dual + slopes[:, None] * amplitudes, size)
+        dual = dual + multiplier
+        worth = step.resultants.worth(multiplier)
+    pull = step.reach.pull(dual)
     if step.kept.size:
-        moved, pulled = _relieved(step, moved, pulled, size)
+        moved, pulled = _relieved(step, moved, pulled, size, multiplier)
         distance = float(moved @ pulled)
-        pull = step.reach.pull(2 * step.factor.solve(pulled)[step.rows])
+        pull = step.reach.pull(2 * step.factor.solve(pulled)[step.rows] + multiplier)
         pull[step.kept] *= pull[step.kept] > ROUND_OFF * step.kept_columns.largest_pull(distance)
-    bound = _best_bound(step, float(step.unsupported @ pulled), distance, pull)
+    bound = _best_bound(step, float(step.unsupported @ pulled) - worth / 2, distance, pull)
     return Solution(amplitudes, displacement, dual, value, bound, ran)
 
 
-def _relieved(step: Subproblem, moved: Floats, pulled: Floats, size: Floats) -> tuple[Floats, Floats]:
+def _possible(step: Subproblem, amplitudes: Floats) -> Floats:
+    """The amplitudes that supports can have, near those that are given.
+
+    Raises
+    ------
+    UnheldError
+        They do not hold a part that must be held.
+    """
+    amplitudes = step.reach.project(amplitudes)
+    if step.resultants is None:
+        return amplitudes
+    balanced = step.resultants.repaired(amplitudes)
+    if balanced is None:
+        raise UnheldError("the supports of a convex step leave a part of the membrane without a fixed vertex unheld")
+    return balanced
+
+
+def _relieved(step: Subproblem, moved: Floats, pulled: Floats, size: Floats, multiplier: Floats) -> tuple[Floats, Floats]:
     """The displacement nearest in M at which no kept group is pulled, and M times it; those at their largest force may be pulled.
 
     Adding A z with 2 A^T M A z = P_C(-lam) takes lam to the nearest dual that does not pull (Moreau), A the kept columns.
@@ -246,7 +275,7 @@ def _relieved(step: Subproblem, moved: Floats, pulled: Floats, size: Floats) -> 
     kept = step.kept_columns
     held = size[step.kept] >= NEARLY * step.reach.largest
     for _ in range(2):  # the second removes what round-off left of the first
-        away = step.reach.cone(-2 * (kept.columns.T @ pulled).reshape(len(held), -1))
+        away = step.reach.cone(-2 * (kept.columns.T @ pulled).reshape(len(held), -1) - multiplier[step.kept])
         away[held] = 0.0
         change = kept.inverse @ away.ravel()
         moved, pulled = moved + kept.columns @ change, pulled + kept.metric_columns @ change

@@ -1,6 +1,6 @@
 """Why an answer is what it is: what each support is worth, what a mast elsewhere would be worth, and how sure all this is."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,6 +16,7 @@ from relax.errors import EquilibriumError, InputError
 from relax.factor import Factor
 from relax.sparsity.supports import sizes
 
+Heard = Callable[[Mapping[str, int]], None]
 BLOCK = 64  # candidates whose columns of K^-1 are held at once
 TRIALS = np.geomspace(1e-4, 1.0, 40)  # of the force at which a mast without a price would gain most
 REFINEMENTS = 40  # golden-section steps between two trials: to 1e-8 of the force
@@ -41,7 +42,8 @@ class SupportValue:
         What E_dist, and the objective, rise to without it, the others refitted, less what they are; None where the membrane
         then finds no rest.
     estimate : float
-        The same rise of the objective by the second-order model, before anything is solved again.
+        The same rise of the objective by the second-order model, before anything is solved again; nan where the others alone
+        cannot hold a part without a fixed vertex.
     """
 
     vertex: int
@@ -66,18 +68,24 @@ class Explanation:
         |P_C(-lam)| over the steepest slope of R: above 1 a small support would pay there at once; nan where none may stand.
     assurance : Assurance
     certificate : Certificate
+    interrupted : bool
+        Whether Ctrl-C, or `StopRun` from the callback, came before all supports were looked at: those that were are there,
+        without their shares.
     """
 
     supports: tuple[SupportValue, ...]
     pull: Floats
     assurance: Assurance
     certificate: Certificate
+    interrupted: bool = False
 
     def __post_init__(self) -> None:
         lock_arrays(self)
 
 
-def explain(problem: Problem, positions: Floats, forces: Floats, optimum: float | None = None) -> Explanation:
+def explain(
+    problem: Problem, positions: Floats, forces: Floats, optimum: float | None = None, callback: Heard | None = None
+) -> Explanation:
     """What each support of an answer is worth, what a mast elsewhere would be, and how good the answer is known to be.
 
     Parameters
@@ -87,6 +95,8 @@ def explain(problem: Problem, positions: Floats, forces: Floats, optimum: float 
         Of a membrane at rest, as `solve` gives them.
     optimum : float, optional
         The least objective there is, where somebody knows it.
+    callback : function, optional
+        Called with `done` and `total` after each support that was taken out.
 
     Raises
     ------
@@ -105,11 +115,13 @@ def explain(problem: Problem, positions: Floats, forces: Floats, optimum: float 
             "the stiffness is singular at this shape, so there is no dual to explain it by: raise the prestress"
         )
     shape, factor, dual = _at(problem, positions, forces)
+    without = _taken_out(problem, shape, mode, callback)
     return Explanation(
-        _supports(problem, shape, factor, dual, mode),
+        _supports(problem, shape, factor, dual, without),
         _on_vertices(problem, _pull(problem, shape, dual)),
         assurance(problem, positions, forces, optimum),
         certificate,
+        interrupted=bool(len(without) < np.count_nonzero(shape.amplitudes.any(axis=1))),
     )
 
 
@@ -135,7 +147,13 @@ class MastValues:
         lock_arrays(self)
 
 
-def mast_values(problem: Problem, positions: Floats, forces: Floats, vertices: Sequence[int] | None = None) -> MastValues:
+def mast_values(
+    problem: Problem,
+    positions: Floats,
+    forces: Floats,
+    vertices: Sequence[int] | None = None,
+    callback: Heard | None = None,
+) -> MastValues:
     """What a new mast at each vertex promises, all other forces as they are.
 
         max over 0 <= t <= F of  |P_C(-lam_g)| t - q_g t^2 - R_g(t)
@@ -149,17 +167,20 @@ def mast_values(problem: Problem, positions: Floats, forces: Floats, vertices: S
     positions, forces : (V, 3)
     vertices : indices, optional
         Default: all candidates. Each costs a solve with K per free component of a force.
+    callback : function, optional
+        Called with `done` and `total`, candidates, from time to time.
 
     Raises
     ------
     InputError
-        A vertex where no support may stand.
+        A vertex where no support may stand, or a part without a fixed vertex, where no force can be added by itself.
 
     Notes
     -----
     Exact on linear membranes. Others stiffen as they are lifted, a flat one most of all: there large forces do less than this
     says.
     """
+    refuse_floating(problem)
     shape, factor, dual = _at(problem, positions, forces)
     supports, place = problem.supports, problem.membrane.free[problem.supports.vertices]
     asked = np.arange(len(place)) if vertices is None else _groups_at(place, vertices)
@@ -178,6 +199,8 @@ def mast_values(problem: Problem, positions: Floats, forces: Floats, vertices: S
         bend = np.einsum("ng,ng->g", moved, curvature @ moved)
         # where the model bends down it bends up as much
         found[:, groups] = _best_force(problem, groups, size[groups], np.maximum(np.abs(bend), np.finfo(float).tiny))
+        if callback is not None:
+            callback({"done": min(first + BLOCK, len(asked)), "total": len(asked)})
     return MastValues(*(_on_vertices(problem, values) for values in found))
 
 
@@ -188,6 +211,15 @@ def _groups_at(place: Ints, vertices: Sequence[int]) -> Ints:
     if wrong:
         raise InputError(f"vertex {wrong[0]}: no support may stand there (supports.candidates); ask for others")
     return np.unique(groups)
+
+
+def refuse_floating(problem: Problem) -> None:
+    """Raise InputError where a part has no fixed vertex: a force by itself cannot stand there."""
+    if problem.membrane.floating:
+        raise InputError(
+            "the gain of one new mast means nothing where a part of the membrane has no fixed vertex: the others would have to "
+            "balance it; leave --gains out, and read the pull"
+        )
 
 
 def _best_force(problem: Problem, groups: Ints, push: Floats, bend: Floats) -> tuple[Floats, Floats, Floats]:
@@ -217,7 +249,15 @@ def _best_force(problem: Problem, groups: Ints, push: Floats, bend: Floats) -> t
 def _at(problem: Problem, positions: Floats, forces: Floats) -> tuple[Shape, Factor, Floats]:
     """The shape with a factorisation of its own, and its dual (n, 3)."""
     amplitudes = problem.supports.amplitudes(forces[problem.membrane.free])
-    return with_dual(problem, Shape(positions, amplitudes, None, 0))
+    shape, factor, dual = with_dual(problem, Shape(positions, amplitudes, None, 0))
+    share = 0.0 if problem.scene.settings["rounding"]["refit"] == "debiased" else 1.0
+    return shape, factor, problem.levelled(dual, amplitudes, share)
+
+
+def pull(problem: Problem, positions: Floats, forces: Floats) -> Floats:
+    """`Explanation.pull` alone (V,), for one solve with K; arguments and what raises as of `explain`."""
+    shape, _, dual = _at(problem, positions, forces)
+    return _on_vertices(problem, _pull(problem, shape, dual))
 
 
 def _pull(problem: Problem, shape: Shape, dual: Floats) -> Floats:
@@ -234,9 +274,26 @@ def _on_vertices(problem: Problem, values: Floats) -> Floats:
     return field
 
 
-def _supports(problem: Problem, shape: Shape, factor: Factor, dual: Floats, mode: str) -> tuple[SupportValue, ...]:
-    """A record for each group that carries a force."""
-    share = 0.0 if mode == "debiased" else 1.0
+def _taken_out(problem: Problem, shape: Shape, mode: str, callback: Heard | None) -> list[Shape | None]:
+    """The shape without each group that carries a force, as many as there is time for."""
+    groups = np.flatnonzero(shape.amplitudes.any(axis=1))
+    found: list[Shape | None] = []
+    try:
+        for group in groups:
+            found.append(_without(problem, shape, int(group), mode))
+            if callback is not None:
+                callback({"done": len(found), "total": len(groups)})
+    except KeyboardInterrupt:
+        if not found:
+            raise
+    return found
+
+
+def _supports(
+    problem: Problem, shape: Shape, factor: Factor, dual: Floats, without: Sequence[Shape | None]
+) -> tuple[SupportValue, ...]:
+    """A record for each group that carries a force and was taken out."""
+    share = 0.0 if problem.scene.settings["rounding"]["refit"] == "debiased" else 1.0
     groups = np.flatnonzero(shape.amplitudes.any(axis=1))
     here, costs = shape.amplitudes[groups], problem.group_costs(sizes(shape.amplitudes))
     model = model_at(problem, shape, factor, dual).enlarged(groups)
@@ -244,14 +301,16 @@ def _supports(problem: Problem, shape: Shape, factor: Factor, dual: Floats, mode
     size = sizes(here)
     slopes = share * problem.strength * problem.supports.weights[groups] * problem.penalty.slope(size)
     along = -np.einsum("gc,gc->g", felt[groups], here) / size
-    without = [_without(problem, shape, int(group), mode) for group in groups]
     lost = [None if rest is None else problem.distance(rest.positions) - distance for rest in without]
-    whole = sum(value for value in lost if value is not None and value > 0)
+    # shares of a sum: none where a loss is not known, or has no end
+    known = [value for value in lost if value is not None]
+    whole = sum(value for value in known if value > 0) if len(known) == len(groups) else 0.0
     before = problem.objective(shape.positions, shape.amplitudes)
     found = []
-    for index, group in enumerate(groups):
+    for index, group in enumerate(groups[: len(without)]):
         left = _settled_without(model.small, here, index, share)
         rest, loss = without[index], lost[index]
+        estimate = float(model.value(left) - model.value(here))
         found.append(
             SupportValue(
                 vertex=int(problem.membrane.free[problem.supports.vertices[group]]),
@@ -262,7 +321,7 @@ def _supports(problem: Problem, shape: Shape, factor: Factor, dual: Floats, mode
                 share=None if loss is None or not whole else max(loss, 0.0) / whole,
                 loss_distance=loss,
                 loss_objective=None if rest is None else problem.objective(rest.positions, rest.amplitudes) - before,
-                estimate=float(model.value(left) - model.value(here)),
+                estimate=estimate if np.isfinite(estimate) else float("nan"),
             )
         )
     return tuple(found)
@@ -276,6 +335,7 @@ def _settled_without(model: Reweighted, start: Floats, index: int, share: float)
         model,
         quadratic=model.quadratic[np.ix_(within, within)],
         linear=model.linear[others],
+        resultants=None if model.resultants is None else model.resultants.of(others),
         costs=share * model.costs[others],  # as the refit does: none where R is dropped
     )
     left = np.zeros_like(start)

@@ -21,7 +21,7 @@ def sentences(problem: Problem, journal: Journal, factorizations: int) -> tuple[
 
 def _fixed(problem: Problem) -> str:
     fixed = int(problem.scene.fixed.sum())
-    return f"{3 * fixed:,} unknowns: those of the {fixed:,} fixed vertices are eliminated"
+    return f"{3 * fixed:,} unknowns: those of the {fixed:,} fixed vertices are eliminated" if fixed else ""
 
 
 def _candidates(tally: Tally) -> str:

@@ -80,7 +80,9 @@ class Model:
         start = self.origin[self.members]
         linear = self.dual[self.members] / 2 - (quadratic @ start.ravel()).reshape(start.shape)
         costs = self.problem.strength * self.problem.supports.weights[self.members]
-        return Reweighted(quadratic, linear, self.problem.penalty, costs, self.problem.supports.reach)
+        resultants = self.problem.resultants
+        conditions = None if resultants is None else resultants.of(self.members)
+        return Reweighted(quadratic, linear, self.problem.penalty, costs, self.problem.supports.reach, conditions)
 
     @cached_property
     def _constant(self) -> float:
@@ -97,7 +99,7 @@ class Model:
         moved = self.curvature @ (self.columns @ (s - self.origin[self.members]).ravel())
         turned = self.factor.solve(2 * moved).reshape(-1, 3)
         dual: Floats = self.dual + self.problem.supports.duals(turned)
-        return dual
+        return self.problem.levelled_duals(dual, self.whole(s))
 
     def whole(self, s: Floats) -> Floats:
         """The members' forces (k, c) among those of all candidates (m, c)."""

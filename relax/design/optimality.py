@@ -18,6 +18,7 @@ from relax.sparsity.supports import sizes
 EQUILIBRIUM = 1e-10
 OFF_SUPPORT = 1 + 1e-6
 ROUND_OFF = 1e-9  # of a force: how far it may lie outside what a support can do
+COLLAPSED = 1e-2  # of the wanted size: a part that is smaller is no roof
 
 
 @dataclass(frozen=True)
@@ -54,6 +55,7 @@ def judge(problem: Problem, positions: Floats, forces: Floats, refit: str = "pen
     `refit`: "penalised" measures stationarity of E_dist + R on the support, "debiased" of E_dist alone (R dropped).
     """
     membrane, supports = problem.membrane, problem.supports
+    positions, forces = np.asarray(positions, dtype=np.float64), np.asarray(forces, dtype=np.float64)
     nodal = forces[membrane.free]
     amplitudes = supports.amplitudes(nodal)
     distance, sparsity = problem.distance(positions), problem.sparsity(amplitudes)
@@ -86,7 +88,7 @@ def judge(problem: Problem, positions: Floats, forces: Floats, refit: str = "pen
             and stable
             and not unmet
         ),
-        warnings=(*_warnings(slack, stable=stable), *unmet),
+        warnings=(*_warnings(slack, stable=stable), *_collapsed(problem, positions), *unmet),
     )
 
 
@@ -108,21 +110,31 @@ def _optimality(
     dual = supports.duals(problem.dual(positions, factor))
     size = sizes(amplitudes)
     stands = problem.standing(amplitudes)
-    stationarity = 0.0
+    stationarity = _drift(problem, positions, amplitudes)
     if stands.any():
-        standing, length = amplitudes[stands], size[stands]
-        slope = problem.strength * supports.weights[stands] * problem.penalty.slope(length)
+        slope = problem.strength * supports.weights * problem.penalty.slope(size)
         if refit == "debiased":
             slope = 0.0 * slope
-        gradient = dual[stands] + (slope / np.where(length > 0, length, 1.0))[:, None] * standing
-        scale = problem.slope_scale(amplitudes)
-        left = projected_gradient(supports.reach, standing, gradient, problem.step_lengths(standing, scale))
-        stationarity = float(sizes(left).max()) / scale
+        gradient = dual + (slope / np.where(size > 0, size, 1.0))[:, None] * amplitudes
+        if problem.resultants is not None:
+            multiplier = problem.resultants.multiplier(gradient, stands)
+            dual, gradient = dual + multiplier, gradient + multiplier
+        scale, standing = problem.slope_scale(amplitudes), amplitudes[stands]
+        left = projected_gradient(supports.reach, standing, gradient[stands], problem.step_lengths(standing, scale))
+        stationarity = max(stationarity, float(sizes(left).max()) / scale)
     if not np.isfinite(steepest(problem.penalty)):
         return stationarity, None
     allowed = problem.group_weights(supports.none)
     off_support = float((supports.reach.pull(dual)[~stands] / allowed[~stands]).max(initial=0.0))
     return stationarity, off_support
+
+
+def _drift(problem: Problem, positions: Floats, amplitudes: Floats) -> float:
+    """How E_dist changes as a part without a fixed vertex moves as a whole by the scene's size, over the objective."""
+    pull = (2 * (problem.metric @ problem.offset(positions).ravel())).reshape(-1, 3)
+    parts = [pull[vertices].sum(axis=0) for vertices in problem.membrane.floating]
+    largest = max((float(np.linalg.norm(part)) for part in parts), default=0.0)
+    return largest * problem.size / problem.objective(positions, amplitudes) if largest > 0 else 0.0
 
 
 def _slack_share(problem: Problem, length: Floats) -> float:
@@ -147,6 +159,20 @@ def _unmet_constraints(problem: Problem, positions: Floats, forces: Floats) -> l
             f"the support at vertex {bad[0]} acts in a direction or with a force that the scene's supports.direction and "
             "supports.max_force do not allow"
         )
+    return said
+
+
+def _collapsed(problem: Problem, positions: Floats) -> list[str]:
+    """On parts without a fixed vertex that supports no longer hold open: stationary they may be, wanted they are not."""
+    said = []
+    for part in problem.membrane.floating:
+        vertices = problem.membrane.free[part]
+        size, wanted = (np.ptp(shape[vertices], axis=0).max() for shape in (positions, problem.scene.target))
+        if size < COLLAPSED * wanted:
+            said.append(
+                f"the part of the membrane that holds vertex {vertices[0]} has shrunk from {wanted:.3g} m to {size:.3g} m: its "
+                "supports hardly pull; lower penalty.weight"
+            )
     return said
 
 

@@ -89,8 +89,9 @@ def path(
     Raises
     ------
     InputError
-        At once: both a count and a distance, or a weight, count or distance out of its range. With the first design: the
-        membrane without supports already lies on the target, so no weight is useful.
+        At once: both a count and a distance, or a weight, count or distance out of its range; without `weights`, a part of
+        the membrane without a fixed vertex. With the first design: the membrane without supports already lies on the target,
+        so no weight is useful.
     EquilibriumError
         With the first design: without `weights`, the membrane does not stand without supports.
 
@@ -108,6 +109,11 @@ def path(
     series = None if weights is None else sorted({float(weight) for weight in weights}, reverse=True)
     if series is not None and not (series and np.isfinite(series).all() and series[-1] > 0):
         raise InputError(f"weights are {series}: give at least one, all of them positive numbers")
+    if series is None and problem.membrane.floating:
+        raise InputError(
+            "path: it begins where nothing stands, and a part of the membrane has no fixed vertex, so without supports it is "
+            "nowhere at rest: give weights (in Python), or fix a vertex"
+        )
     steps, most = (STEPS, MOST) if count is None and rms is None else (LONGEST, DENSEST)
     way = _Way(_weight_by_number(problem), series, steps, most, callback)
     if count is not None:

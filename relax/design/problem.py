@@ -13,11 +13,12 @@ from scipy.sparse import bsr_array, csc_array
 from relax.arrays import Floats, Ints, Mask
 from relax.convex.subproblem import Subproblem
 from relax.errors import InputError
-from relax.factor import Factor
+from relax.factor import Factor, FloatingFactor, Translations, translations
 from relax.membrane.membrane import Membrane
 from relax.membrane.scene import Scene
 from relax.sparsity.penalties import Penalty, make_penalty
 from relax.sparsity.reach import reach_of
+from relax.sparsity.resultants import Resultants
 from relax.sparsity.supports import Supports, sizes
 
 
@@ -152,9 +153,72 @@ class Problem:
         # a support that costs nothing has no slope, though a counting penalty's is infinite at zero
         return np.multiply(costs, slopes, out=np.zeros_like(costs), where=costs > 0)
 
+    @cached_property
+    def translations(self) -> Translations | None:
+        """Those of the parts without a fixed vertex, which the forces leave to E_dist; None where there is no such part."""
+        parts = self.membrane.floating
+        return translations(parts, self.metric) if parts else None
+
+    @cached_property
+    def resultants(self) -> Resultants | None:
+        """What the support forces of those parts must add up to: minus their loads."""
+        parts = self.membrane.floating
+        if not parts:
+            return None
+        label = np.full(len(self.membrane.free), -1)
+        for index, vertices in enumerate(parts):
+            label[vertices] = index
+        return Resultants(label[self.supports.vertices], -np.array([self.loads[vertices].sum(axis=0) for vertices in parts]))
+
+    def placed(self, positions: Floats) -> Floats:
+        """Positions (V, 3) with each part without a fixed vertex moved as a whole to where E_dist is least."""
+        if self.translations is None:
+            return positions
+        placed = positions.copy()
+        offset = self.translations.left_out(self.offset(positions).ravel()).reshape(-1, 3)
+        placed[self.membrane.free] = self.scene.target[self.membrane.free] + offset
+        return placed
+
+    def balanced(self, amplitudes: Floats) -> Floats | None:
+        """Amplitudes (m, c) that a part without a fixed vertex can rest under, near these; None where there are none."""
+        return amplitudes if self.resultants is None else self.resultants.repaired(amplitudes)
+
+    def levelled(self, field: Floats, amplitudes: Floats, share: float = 1.0) -> Floats:
+        """A dual field (n, 3) with the multiplier of each such part's balance, as the standing amplitudes (m, c) tell it.
+
+        `share` of R counts: 0 where it is dropped.
+        """
+        if self.resultants is None:
+            return field
+        dual = self.supports.duals(field)
+        multiplier = self.levelled_duals(dual, amplitudes, share) - dual
+        levelled = field.copy()
+        for index, vertices in enumerate(self.membrane.floating):
+            levelled[vertices] += multiplier[np.argmax(self.resultants.part == index)]
+        return levelled
+
+    def levelled_duals(self, dual: Floats, amplitudes: Floats, share: float = 1.0) -> Floats:
+        """The same of the groups' duals (m, c)."""
+        if self.resultants is None:
+            return dual
+        size = sizes(amplitudes)
+        slope = share * self.strength * self.supports.weights * self.penalty.slope(size)
+        gradient = dual + (slope / np.where(size > 0, size, 1.0))[:, None] * amplitudes
+        return dual + self.resultants.multiplier(gradient, self.standing(amplitudes))
+
     def factor_at(self, positions: Floats) -> Factor:
-        """A factorisation of K at `positions`."""
-        return self.membrane.factor_at(positions)
+        """A factorisation of K at `positions`; off the translations of parts without a fixed vertex."""
+        return self._linear_factor if self.membrane.linear else self.floating(self.membrane.factor_at(positions))
+
+    @cached_property
+    def _linear_factor(self) -> Factor:
+        return self.floating(self.membrane.factor_at(self.scene.start))
+
+    def floating(self, factor: Factor) -> Factor:
+        """A factorisation that the membrane made, with translations chosen by E_dist where parts have no fixed vertex."""
+        if self.translations is None or isinstance(factor, FloatingFactor):
+            return factor
+        return FloatingFactor(factor, self.membrane.grounding, self.translations)
 
     def dual(self, positions: Floats, factor: Factor) -> Floats:
         """Lam = 2 K^-1 M (x - xhat) on the free vertices (n, 3): minus the gradient that a support force would feel."""
@@ -170,7 +234,8 @@ class Problem:
         """The convex step at `positions` under `weights` (m,)."""
         unbalanced = self.membrane.forces(positions) + self.loads
         offset, supports = self.offset(positions).ravel(), self.supports
-        return Subproblem(factor, self.metric, offset, unbalanced.ravel(), supports.rows, weights, supports.reach)
+        load, resultants = unbalanced.ravel(), self.resultants
+        return Subproblem(factor, self.metric, offset, load, supports.rows, weights, supports.reach, resultants=resultants)
 
     @property
     def strength(self) -> float:

@@ -9,7 +9,7 @@ from relax.design.methods import Method
 from relax.design.methods.sequential import Sequential
 from relax.design.optimality import EQUILIBRIUM, Certificate, judge
 from relax.design.problem import Problem
-from relax.design.refit import Shape, refit
+from relax.design.refit import Shape, refit, to_the_last_digits
 from relax.design.search import Search
 from relax.design.starts import Start, at_target, choose_starts, heavy_starts, is_planted
 from relax.design.symmetric import SymmetricProblem, symmetric_problem
@@ -62,11 +62,11 @@ def best_of(problem: Problem, starts: list[Start] | None, method: Method, journa
                 break
             outcomes.append(_run(problem, begin, method, journal))
             if isinstance(method, Sequential) and begin.name == "pulled" and not outcomes[-1].certificate.converged:
-                starts += _others(problem, nothing=outcomes[-1].shape is begin.shape)
+                starts += _others(problem, nothing=outcomes[-1].shape.amplitudes is begin.shape.amplitudes)
         best = outcomes[0] if len(outcomes) == 1 else min(outcomes, key=_rank)
         if last_refit(problem) == "debiased":
             journal.stage = "debiasing"
-            shape = refit(problem, best.shape, "debiased", journal)
+            shape = to_the_last_digits(problem, refit(problem, best.shape, "debiased", journal))
             spent += shape.factorizations - best.shape.factorizations
             best = replace(best, shape=shape, refit="debiased")
     except KeyboardInterrupt:
@@ -158,6 +158,7 @@ def _run(problem: Problem, start: Start, method: Method, journal: Journal) -> Ou
     journal.first = len(journal.shapes)
     try:
         shape, unrounded = method(problem, start, journal)
+        shape = to_the_last_digits(problem, shape)
     except EquilibriumError as error:
         trouble = str(error)
         lowest = min(range(journal.first, len(journal.shapes)), key=journal.objective.__getitem__, default=None)

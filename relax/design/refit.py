@@ -14,11 +14,13 @@ from relax.design.problem import Problem
 from relax.errors import EquilibriumError
 from relax.factor import Factor
 from relax.iterate import Record, Stop, iterate
-from relax.membrane.equilibrium import find_equilibrium
+from relax.membrane.equilibrium import find_equilibrium, with_last_digits
 from relax.sparsity.faces import face_at, projected_gradient
+from relax.sparsity.resultants import Resultants
 from relax.sparsity.supports import sizes
 
 Progress = Callable[[Record], None]
+NEAR = 1e-4  # stationarity from which the next Newton step may be the last
 AIM = 1e-12  # stationarity at which Newton stops at once
 LIMIT = 60
 HALVINGS = 12  # a step that must be shorter than 1/4000 of Newton's leads nowhere
@@ -91,15 +93,23 @@ class _Refit:
     problem: Problem
     share: float  # 1: E_dist + R, 0: E_dist alone
 
-    def state(self, shape: Shape) -> _State:
-        """Value and gradient at a shape."""
+    @property
+    def keeping(self) -> Resultants | None:
+        return self.problem.resultants
+
+    def state(self, shape: Shape, before: float = np.inf) -> _State:
+        """Value and gradient at a shape that a step came to from one with the residual `before`."""
         problem, nearby = self.problem, shape.factor
+        if before <= NEAR:  # the last gradients are those of a membrane at rest: what is unbalanced moves x - xhat, small itself
+            shape = to_the_last_digits(problem, shape)
         shape, factor, dual = with_dual(problem, shape)
         members = np.flatnonzero(problem.standing(shape.amplitudes))
         standing = shape.amplitudes[members]
         size = sizes(standing)
         slope = self._strength(members) * problem.penalty.slope(size)
         gradient = problem.supports.duals(dual)[members] + (slope / np.where(size > 0, size, 1.0))[:, None] * standing
+        if self.keeping is not None:  # with R dropped the multiplier is another
+            gradient = gradient + self.keeping.of(members).multiplier(gradient, np.ones(len(members), dtype=bool))
         scale = problem.slope_scale(shape.amplitudes)
         left = projected_gradient(problem.supports.reach, standing, gradient, problem.step_lengths(standing, scale))
         residual = float(sizes(left).max(initial=0.0)) / scale
@@ -132,8 +142,12 @@ class _Refit:
         # steps of curvature's own length tell what binds; the judge's, as long as the force, would press small forces to nothing
         tau = 1 / np.maximum(np.abs(np.diag(whole)).reshape(amplitudes.shape).sum(axis=1), np.finfo(float).tiny)
         face = face_at(self.problem.supports.reach, amplitudes, state.gradient, tau)
-        hessian = face.hessian(whole)
+        hessian, kept = face.hessian(whole), None
+        if self.keeping is not None:
+            kept = self.keeping.of(state.members).directions
+            hessian = kept.T @ hessian @ kept
         values, vectors = np.linalg.eigh(0.5 * (hessian + hessian.T))
+        vectors = vectors if kept is None else kept @ vectors
         # R bends downwards along each force and the membrane's own curvature may too: reflect, so that the step descends
         size = np.maximum(np.abs(values), 1e-13 * np.abs(values).max(initial=0.0))
         slopes = vectors.T @ face.gradient(whole)
@@ -169,7 +183,7 @@ class _Refit:
                 value = self._value(moved.positions, moved.amplitudes)
                 falls = value <= state.value + (0.0 if leave else 1e-4 * descent)
                 if falls or value <= state.value + noise:
-                    near = self.state(moved)
+                    near = self.state(moved, state.residual)
                     stands = near.factor.positive_definite or not state.factor.positive_definite
                     if stands and (falls or near.residual < 0.5 * state.residual):
                         falling = length >= SHORT and state.value - value > IDLE * abs(state.value)
@@ -215,19 +229,34 @@ def with_dual(problem: Problem, shape: Shape) -> tuple[Shape, Factor, Floats]:
     if shape.factor is not None:
         dual = shape.factor.refine(problem.membrane.stiffness(shape.positions), right)
         if dual is not None:
-            return shape, shape.factor, dual.reshape(-1, 3)
+            return shape, shape.factor, problem.levelled(dual.reshape(-1, 3), shape.amplitudes)
     factor = problem.factor_at(shape.positions)
     shape = shape.with_factor(factor)
-    return shape, factor, factor.solve(right).reshape(-1, 3)
+    return shape, factor, problem.levelled(factor.solve(right).reshape(-1, 3), shape.amplitudes)
 
 
 def rest(problem: Problem, guess: Shape) -> Shape | None:
-    """The equilibrium under the guess's forces, from its positions, by chord steps on its factor first; None if none is found."""
-    applied = problem.supports.forces(guess.amplitudes) + problem.loads
+    """The equilibrium under the guess's forces, from its positions, by chord steps on its factor first; None if none is found.
+
+    Where a part has no fixed vertex its forces are made to add up first, and it comes to lie where E_dist is least.
+    """
+    amplitudes = problem.balanced(guess.amplitudes)
+    if amplitudes is None:
+        return None
+    applied = problem.supports.forces(amplitudes) + problem.loads
     found = find_equilibrium(problem.membrane, guess.positions, applied, guess.factor, REST_LIMIT)
     if not found.found:
         return None
-    return Shape(found.positions, guess.amplitudes, found.factor or guess.factor, guess.factorizations + found.factorizations)
+    factor = guess.factor if found.factor is None else problem.floating(found.factor)
+    return Shape(problem.placed(found.positions), amplitudes, factor, guess.factorizations + found.factorizations)
+
+
+def to_the_last_digits(problem: Problem, shape: Shape) -> Shape:
+    """The same shape, its positions at rest to round-off where it has a factorisation nearby."""
+    if shape.factor is None or shape.factor.singular:
+        return shape
+    applied = problem.supports.forces(shape.amplitudes) + problem.loads
+    return replace(shape, positions=with_last_digits(problem.membrane, shape.positions, applied, shape.factor))
 
 
 def displaced(problem: Problem, shape: Shape, displacement: Floats, amplitudes: Floats) -> Shape | None:
@@ -275,5 +304,9 @@ def refit(problem: Problem, shape: Shape, mode: str = "penalised", progress: Pro
     # a first force may be larger than any that is allowed
     rested = rest(problem, replace(shape, amplitudes=problem.supports.reach.project(shape.amplitudes)))
     if rested is None:
-        raise EquilibriumError("the membrane finds no rest under the supports that were kept: raise the prestress")
-    return iterate(method, method.state(rested), LIMIT, progress).state.shape
+        advice = "lower penalty.weight or raise the prestress" if problem.membrane.floating else "raise the prestress"
+        raise EquilibriumError(f"the membrane finds no rest under the supports that were kept: {advice}")
+    begin = method.state(rested)
+    if begin.residual <= NEAR:
+        begin = method.state(begin.shape, begin.residual)
+    return iterate(method, begin, LIMIT, progress).state.shape

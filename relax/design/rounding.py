@@ -59,3 +59,22 @@ def seated(problem: Problem, result: Rounded, seats: int = SEATS) -> Shape:
     amplitudes = shape.amplitudes.copy()
     amplitudes[most] = seat * pulls / sizes(pulls)[:, None]
     return replace(shape, amplitudes=amplitudes)
+
+
+def gently_seated(problem: Problem, result: Rounded) -> Shape:
+    """The same with first forces that are no larger than E_dist wants them, all of them together as far as one alone.
+
+    On a soft part of the membrane a share of the largest force goes far beyond that, and Newton takes the support away again.
+    """
+    shape, supports = seated(problem, result), problem.supports
+    new = np.flatnonzero(result.missing & shape.amplitudes.any(axis=1))
+    size = sizes(shape.amplitudes[new])
+    along = shape.amplitudes[new] / size[:, None]
+    pull = sizes(supports.reach.cone(-result.dual[new]))
+    columns = problem.columns(shape.factor or problem.factor_at(shape.positions), new).reshape(-1, *along.shape)
+    moved = np.einsum("ngc,gc->ng", columns, along)
+    bend = np.einsum("ng,ng->g", moved, problem.metric @ moved)
+    best = pull / (2 * np.maximum(bend, np.finfo(float).tiny)) / len(new)
+    amplitudes = shape.amplitudes.copy()
+    amplitudes[new] = np.minimum(size, best)[:, None] * along
+    return replace(shape, amplitudes=amplitudes)

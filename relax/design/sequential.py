@@ -14,7 +14,7 @@ from relax.convex.backends import Backend
 from relax.convex.subproblem import Subproblem
 from relax.design.problem import Problem
 from relax.design.refit import Shape, displaced, figures
-from relax.errors import BackendError, UnsupportedError
+from relax.errors import BackendError, UnheldError, UnsupportedError
 from relax.iterate import Stop
 from relax.sparsity.supports import sizes
 
@@ -72,6 +72,9 @@ class SequentialConvex:
                 solution = self.backend(subproblem.damped(damping), shape.amplitudes)
             except UnsupportedError:
                 raise  # no step of this problem will do
+            except UnheldError as error:  # a shorter step may let go of less
+                state = replace(state, failure=str(error))
+                continue
             except BackendError as error:
                 return replace(state, shape=shape, exhausted=True, failure=str(error))
             looked = range(len(weights)) if solution.looked is None else solution.looked

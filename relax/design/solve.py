@@ -76,7 +76,8 @@ def solve(
     method : function Problem, Start, Journal -> shapes after and before rounding, optional
         Leads from a start to supports; default: the one that the scene's `solver.method` names.
     callback : function, optional
-        Called once a step with step, objective, stationarity, supports, seconds and a note; its time is not counted.
+        Called once a step with step, objective, stationarity, supports, seconds and a note; its time is not counted. Where it
+        raises `StopRun`, the run ends as after Ctrl-C: the best so far is returned, `interrupted`, and `stop` says who ended it.
 
     Raises
     ------
@@ -111,7 +112,7 @@ def _solve(problem: Problem, start: tuple[Floats, Floats] | None, method: Method
         found = _solve_apart(problem, parts, start, method, journal)
     else:
         found = best_of(problem, None if start is None else choose_starts(problem, start, journal.skipped), method, journal)
-    stop = Stop.INTERRUPTED.value if found.interrupted else _why(found.best)
+    stop = journal.broken_off.value if found.interrupted else _why(found.best)
     design = as_design(problem, found.best, journal, stop)
     said = sentences(problem, journal, found.factorizations)
     return replace(design, factorizations=found.factorizations, skipped=said)
@@ -201,6 +202,6 @@ def as_design(problem: Problem, best: Outcome, journal: Journal, stop: str) -> D
         factorizations=best.shape.factorizations,
         seconds=journal.elapsed(),
         skipped=(),
-        interrupted=stop == Stop.INTERRUPTED.value,
+        interrupted=stop in (Stop.INTERRUPTED.value, Stop.STOPPED.value),
         trace=journal.trace(best.unrounded),
     )

@@ -38,6 +38,13 @@ def unsupported(problem: Problem) -> Shape:
     EquilibriumError
         It finds no rest, or does not stand there; the message says why.
     """
+    if problem.membrane.floating:
+        vertex = int(problem.membrane.free[problem.membrane.floating[0][0]])
+        raise EquilibriumError(
+            f"the membrane without supports: the part that holds vertex {vertex} has no fixed vertex, so it shrinks until no "
+            "edge pulls, and nothing can be measured or begun there: begin at forces that hold it (start), fix a vertex, or hand "
+            "weights to relax.path"
+        )
     found = form_find(problem.membrane, problem.scene.start, problem.loads)
     if not found.found:
         raise EquilibriumError(f"the membrane without supports: {found.stop.value}")
@@ -71,6 +78,11 @@ def resolve_weight(problem: Problem) -> Problem:
         raise InputError(
             f'penalty.weight_fraction: the penalty "{problem.penalty.name}" jumps at zero, so no weight is the largest useful '
             "one: give penalty.weight"
+        )
+    if problem.membrane.floating:
+        raise InputError(
+            "penalty.weight_fraction: a part of the membrane has no fixed vertex and does not stand without supports, so no "
+            "weight is the largest useful one: give penalty.weight"
         )
     bare = unsupported(problem)
     if _reached(problem, bare):
@@ -128,7 +140,7 @@ def given(problem: Problem, positions: Floats, forces: Floats) -> Shape | None:
     free = problem.membrane.free
     placed = problem.scene.clean_target.copy()
     placed[free] = positions[free]
-    amplitudes = problem.supports.nearest(forces[free])
+    amplitudes = problem.supports.nearest(np.asarray(forces[free], dtype=np.float64))
     return rest(problem, Shape(placed, amplitudes, problem.factor_at(placed), 1))
 
 
@@ -151,13 +163,18 @@ def choose_starts(problem: Problem, start: tuple[Floats, Floats] | None, skipped
     """
     choice = problem.scene.settings["solver"]["start"]
     if start is not None:
-        return [Start("given", _found(given(problem, *start), "under the forces of that result"))]
+        return [Start("given", _found(problem, given(problem, *start), "under the forces of that result"))]
     if choice not in ("auto", "target", "heavy"):
         raise InputError(f"solver.start is {choice!r}: hand the positions and forces of that result to solve(start=...)")
     if choice == "heavy":
+        if problem.membrane.floating:
+            raise InputError(
+                'solver.start "heavy" begins without supports, and a part of the membrane has no fixed vertex, so without them '
+                'it is nowhere at rest: start from "auto" or "target", or fix a vertex'
+            )
         return heavy_starts(problem)
     if choice == "target":
-        return [Start("target", _found(at_target(problem), "near the target"))]
+        return [Start("target", _found(problem, at_target(problem), "near the target"))]
     return _automatic(problem, skipped)
 
 
@@ -167,7 +184,7 @@ def _automatic(problem: Problem, skipped: list[str]) -> list[Start]:
     if shape is not None and is_planted(problem, shape):
         skipped.append("a search for other starts: few supports hold the target as it is")
         return [Start("target", shape)]
-    if is_convex(problem.penalty):
+    if is_convex(problem.penalty) and not problem.membrane.floating:
         skipped.append("other first weights: the penalty's own never change")
         return [Start("unsupported", unsupported(problem))]
     drawn = pulled(problem) if len(problem.supports.vertices) else None
@@ -175,16 +192,22 @@ def _automatic(problem: Problem, skipped: list[str]) -> list[Start]:
         return [Start("pulled", drawn)]
     try:
         return heavy_starts(problem)
-    except EquilibriumError:
+    except EquilibriumError as error:
+        if shape is None and problem.membrane.floating:
+            raise EquilibriumError(
+                "solver.start: the candidates near the target hold no part without a fixed vertex at rest: widen "
+                "supports.candidates, fix a vertex, or begin at positions and forces that balance"
+            ) from error
         if shape is None:
             raise
         skipped.append("heavy starts: the membrane does not stand without supports")
         return [Start("target", shape)]
 
 
-def _found(shape: Shape | None, where: str) -> Shape:
+def _found(problem: Problem, shape: Shape | None, where: str) -> Shape:
     if shape is None:
-        raise EquilibriumError(f"solver.start: the membrane finds no rest {where}; start elsewhere (auto or heavy)")
+        elsewhere = "auto" if problem.membrane.floating else "auto or heavy"
+        raise EquilibriumError(f"solver.start: the membrane finds no rest {where}; start elsewhere ({elsewhere})")
     return shape
 
 

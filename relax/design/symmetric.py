@@ -81,8 +81,12 @@ class SymmetricProblem(Problem):
 
 
 def symmetric_problem(problem: Problem) -> SymmetricProblem | None:
-    """The problem by its representatives; None where it has no symmetry, or a linear membrane makes factors cheap."""
-    symmetry = None if problem.membrane.linear else find_symmetry(problem.scene)
+    """The problem by its representatives; None where it has no symmetry, or a linear membrane makes factors cheap.
+
+    None too where a part has no fixed vertex: its translations along the axis and its balance would have to be symmetric as well.
+    """
+    plain = problem.membrane.linear or problem.membrane.floating
+    symmetry = None if plain else find_symmetry(problem.scene)
     if symmetry is None:
         return None
     scene, share, chosen = problem.scene, symmetry.share, symmetry.representatives

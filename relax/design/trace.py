@@ -11,7 +11,8 @@ from relax.arrays import Floats, Mask
 from relax.design.optimality import judge
 from relax.design.problem import Problem
 from relax.design.refit import Shape, figures
-from relax.iterate import Record
+from relax.errors import StopRun
+from relax.iterate import Record, Stop
 
 Callback = Callable[[Record], None]
 
@@ -85,6 +86,7 @@ class Journal:
         self.tally = Tally(np.zeros(len(problem.supports.vertices), dtype=bool))
         self.first = 0  # the step at which the present start began
         self.lift: Callable[[Shape], Shape] | None = None  # the whole membrane of a run's shapes, while it sees less
+        self.broken_off = Stop.INTERRUPTED  # why, where the run is broken off
         self._last: Shape | None = None
 
     def elapsed(self) -> float:
@@ -122,8 +124,13 @@ class Journal:
             before = time.perf_counter()
             stationarity = judge(self.problem, shape.positions, self.problem.all_forces(shape.amplitudes)).stationarity
             kept = {"objective": record["objective"], "supports": record["supports"], "stationarity": stationarity}
-            self.callback({"step": len(self.shapes) - 1, "seconds": self.seconds[-1], "note": self.notes[-1], **kept})
-            self.paused += time.perf_counter() - before
+            try:
+                self.callback({"step": len(self.shapes) - 1, "seconds": self.seconds[-1], "note": self.notes[-1], **kept})
+            except StopRun:
+                self.broken_off = Stop.STOPPED
+                raise
+            finally:
+                self.paused += time.perf_counter() - before
 
     def remark(self, words: str) -> None:
         """Add words to the last note."""

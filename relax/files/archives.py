@@ -1,7 +1,5 @@
 """The arrays of a result's .npz files, each with the shape and type that relax/FORMATS.md gives it."""
 
-import io
-import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -11,6 +9,7 @@ import numpy as np
 from relax.errors import InputError
 from relax.files.bytes import read_bytes
 from relax.files.checks import LARGEST
+from relax.files.npy import Header, read_archive
 
 Arrays = dict[str, Any]
 Shapes = Mapping[str, tuple[str | int, ...]]
@@ -33,45 +32,31 @@ OPEN = ("objective", "stationarity")  # of a step at which the stiffness was sin
 
 def read_arrays(path: Path, shapes: Shapes, known: Mapping[str, int] | None = None) -> Arrays:
     """The arrays of a file, with the shapes and types that relax/FORMATS.md gives them; `known`: lengths given elsewhere."""
-    content = io.BytesIO(read_bytes(path))
-    arrays: Arrays = {}
     lengths = dict(known or {})
-    try:
-        with np.load(content, allow_pickle=False) as archive:
-            for name in shapes:
-                if name not in archive:
-                    raise InputError(f"it has no array {name}: write the result again with relax solve")
-                arrays[name] = archive[name]
-    except InputError:
-        raise
-    except (zipfile.BadZipFile, OSError, ValueError, EOFError, KeyError, MemoryError, NotImplementedError, RuntimeError):
-        raise InputError(
-            "this is no archive of numpy arrays, or it is damaged: write the result again with relax solve"
-        ) from None
-    except Exception:
-        # zlib, struct and tokenize have errors of their own for damaged content
-        raise InputError("it is damaged: write the result again with relax solve") from None
-    for name, shape in shapes.items():
-        arrays[name] = _checked(name, arrays[name], shape, lengths)
-    return arrays
+    found = read_archive(read_bytes(path), shapes, lambda name, header: _check_header(name, header, shapes[name], lengths))
+    return {name: _checked(name, array) for name, array in found.items()}
 
 
-def _checked(name: str, array: Any, shape: tuple[str | int, ...], lengths: dict[str, int]) -> Any:
-    """`array` in its proper type, if its shape and values allow it."""
+def _check_header(name: str, header: Header, shape: tuple[str | int, ...], lengths: dict[str, int]) -> None:
+    """Refuse an array of another shape or type; `lengths` gathers what the letters stand for."""
     kind = KINDS.get(name, np.float64)
     wanted = "(" + ", ".join(str(length) for length in shape) + ("," if len(shape) == 1 else "") + ")"
-    same = array.ndim == len(shape) and all(
+    same = len(header.shape) == len(shape) and all(
         length == (wish if isinstance(wish, int) else lengths.setdefault(wish, length))
-        for length, wish in zip(array.shape, shape, strict=True)
+        for length, wish in zip(header.shape, shape, strict=True)
     )
     if not same:
         known = ", ".join(f"{letter} = {length}" for letter, length in lengths.items())
-        raise InputError(f"{name} has the shape {array.shape}, expected {wanted} with {known or 'V vertices'}")
-    if not np.can_cast(array.dtype, kind, "same_kind") or (kind is np.str_ and array.dtype.kind != "U"):
-        raise InputError(f"{name} holds {array.dtype}, expected {np.dtype(kind).name}")
+        raise InputError(f"{name} has the shape {header.shape}, expected {wanted} with {known or 'V vertices'}")
+    if not np.can_cast(header.kind, kind, "same_kind") or (kind is np.str_ and header.kind.kind != "U"):
+        raise InputError(f"{name} holds {header.kind}, expected {np.dtype(kind).name}")
+
+
+def _checked(name: str, array: Any) -> Any:
+    """`array` in its proper type, if its values allow it."""
     if array.dtype.kind == "f" and name not in OPEN and not np.isfinite(array).all():
         raise InputError(f"{name} is not finite at index {np.argwhere(~np.isfinite(array))[0].tolist()}")
     if array.dtype.kind == "f" and name not in OPEN and (np.abs(array) > LARGEST).any():
         index = np.argwhere(np.abs(array) > LARGEST)[0].tolist()
         raise InputError(f"{name} is {array[tuple(index)]} at index {index}, beyond {LARGEST:g}: mend it")
-    return array.astype(kind)
+    return array.astype(KINDS.get(name, np.float64))

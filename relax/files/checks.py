@@ -6,6 +6,7 @@ from typing import Any
 
 Check = Callable[[Any], Any]
 LARGEST = 1e30  # no length, force or stiffness in any unit comes near, and its fourth power is still a number
+LARGEST_WHOLE = 2**63 - 1  # what a vertex number or a seed is kept in
 LONGEST = 80  # characters of a value worth repeating in a sentence
 
 
@@ -86,9 +87,11 @@ def at_least(low: float, high: float = math.inf) -> Check:
 
 
 def whole(value: Any) -> int:
-    """A whole number from 0 up."""
+    """A whole number from 0 up that fits in 64 bits."""
     if isinstance(value, bool) or not isinstance(value, int) or value < 0:
         raise RefusedError
+    if value > LARGEST_WHOLE:
+        raise RefusedError(f"beyond {LARGEST_WHOLE:,}")
     return value
 
 
@@ -102,11 +105,19 @@ def list_of(check: Check, least: int = 0, most: int | None = None) -> Check:
         for index, entry in enumerate(value):
             try:
                 plain.append(check(entry))
-            except RefusedError:
-                raise RefusedError(f"entry {index} is {shown(entry)}") from None
+            except RefusedError as refusal:
+                raise RefusedError(_inside(f"entry {index}", entry, refusal)) from None
         return plain
 
     return check_list
+
+
+def box(value: Any) -> list[list[float]]:
+    """Lower left and upper right corner, [[x0, y0], [x1, y1]]."""
+    low, high = plain = list_of(list_of(number, 2, 2), 2, 2)(value)
+    if low[0] > high[0] or low[1] > high[1]:
+        raise RefusedError("its second corner lies left of the first or below it: swap them")
+    return plain
 
 
 def table_of(required: Mapping[str, Check], optional: Mapping[str, tuple[Check, Any]] | None = None) -> Check:
@@ -118,7 +129,7 @@ def table_of(required: Mapping[str, Check], optional: Mapping[str, tuple[Check, 
             raise RefusedError
         for name in value:
             if name not in required and name not in optional:
-                raise RefusedError(f"{name} is unknown in it")
+                raise RefusedError(f"{escaped(str(name))} is unknown in it")
         plain = {}
         for name, test in [*required.items(), *((name, test) for name, (test, _) in optional.items())]:
             if name not in value:
@@ -128,11 +139,16 @@ def table_of(required: Mapping[str, Check], optional: Mapping[str, tuple[Check, 
                 continue
             try:
                 plain[name] = test(value[name])
-            except RefusedError:
-                raise RefusedError(f"{name} is {shown(value[name])}") from None
+            except RefusedError as refusal:
+                raise RefusedError(_inside(name, value[name], refusal)) from None
         return plain
 
     return check
+
+
+def _inside(name: str, value: Any, refusal: RefusedError) -> str:
+    """What is wrong with a part of a value: what is wrong within it, where that is known."""
+    return f"{name}: {refusal}" if str(refusal) else f"{name} is {shown(value)}"
 
 
 def either(*checks: Check) -> Check:
@@ -150,14 +166,20 @@ def either(*checks: Check) -> Check:
     return check
 
 
+def escaped(text: str, most: int = LONGEST) -> str:
+    """`text` on one line, without what a terminal would take for a command, cut where it is long."""
+    plain = text[: most + 1].encode("unicode_escape").decode()
+    return plain if len(plain) <= most else plain[: most - 3] + "..."
+
+
 def shown(value: Any) -> str:
     """`value` the way a scene file would write it, cut where it is long."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, str):
-        plain = '"' + value.encode("unicode_escape").decode() + '"'
+        plain = '"' + value[: LONGEST + 1].encode("unicode_escape").decode() + '"'
     elif isinstance(value, Mapping):
-        plain = "{ " + ", ".join(f"{key} = {shown(entry)}" for key, entry in value.items()) + " }"
+        plain = "{ " + ", ".join(f"{escaped(str(key))} = {shown(entry)}" for key, entry in value.items()) + " }"
     elif isinstance(value, list | tuple):
         plain = "[" + ", ".join(shown(entry) for entry in value[:LONGEST]) + "]"
     else:

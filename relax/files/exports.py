@@ -13,10 +13,16 @@ from relax.membrane.scene import Scene
 
 def write_obj(path: Path, positions: Floats, faces: Ints) -> None:
     """Write vertices with 17 digits, from which the same numbers are read back, and faces counted from 1."""
-    lines = ["# membrane in equilibrium, written by relax"]
+    path.write_text("\n".join(obj_lines("membrane in equilibrium, written by relax", positions, faces)) + "\n", encoding="ascii")
+
+
+def obj_lines(remark: str, positions: Floats, faces: Ints, group: str = "") -> list[str]:
+    """The lines of `write_obj`, the faces in a group where one is named."""
+    lines = [f"# {remark}"]
     lines += ["v " + " ".join(f"{value:.17g}" for value in point) for point in positions.tolist()]
+    lines += [f"g {group}"] if group else []
     lines += ["f " + " ".join(str(corner + 1) for corner in face if corner >= 0) for face in faces.tolist()]
-    path.write_text("\n".join(lines) + "\n", encoding="ascii")
+    return lines
 
 
 def write_vtu(path: Path, scene: Scene, positions: Floats, forces: Floats) -> None:

@@ -14,10 +14,13 @@ import numpy as np
 
 from relax.arrays import Floats
 from relax.errors import InputError
-from relax.files.bytes import open_bytes, read_bytes
+from relax.files.bytes import MOST_BYTES, open_bytes, read_bytes
+from relax.files.checks import escaped
+from relax.files.npy import read_header, read_values
 from relax.files.schema import HEIGHT_SUFFIXES
 
 MOST_SAMPLES = 4_000_000  # far beyond what can be solved, far below what fills a memory
+MOST_AXES = 8  # of an array's shape that a sentence repeats
 MOST_TEXT = 128_000_000  # bytes: 4 million numbers of 32 characters
 FIRST_WORDS = {"ncols", "nrows", "xllcorner", "xllcenter", "yllcorner", "yllcenter", "cellsize", "nodata_value"}
 HEADER_LENGTH = 4096  # characters, more than six lines of a name and a number need
@@ -74,7 +77,7 @@ def read_heights(path: Path) -> tuple[Floats, tuple[float, float] | None]:
 
 def _check_shape(shape: tuple[int, ...]) -> None:
     """Refuse what is no grid, or one too large, before it is loaded where the shape is known by then."""
-    size = " x ".join(f"{length:,}" for length in shape)
+    size = " x ".join(f"{length:,}" if length < MOST_BYTES else f"{float(length):g}" for length in shape[:MOST_AXES])
     if len(shape) != 2:
         raise InputError(f"it has {len(shape)} dimensions ({size or 'a single number'}), expected two: rows and columns")
     if min(shape) < 2:
@@ -84,26 +87,12 @@ def _check_shape(shape: tuple[int, ...]) -> None:
 
 
 def _read_array(stream: Any) -> Floats:
-    """An array in numpy's format, whose header is looked at before anything is loaded."""
-    try:
-        version = np.lib.format.read_magic(stream)
-        read_header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}[version]
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # headers written by Python 2 are fine
-            shape, fortran, kind = read_header(stream)
-    except Exception:
-        raise InputError("this is no array in numpy's format (.npy): save it with numpy.save") from None
-    if kind.hasobject:
-        raise InputError("it holds pickled objects, which may run any code and are never loaded: save an array of numbers")
-    if kind.kind not in "fiu":
-        raise InputError(f"it holds values of the kind {kind}, expected real numbers: save it as float64")
-    _check_shape(shape)
-    size = math.prod(shape) * kind.itemsize
-    content = stream.read(size)
-    if len(content) != size:
-        raise InputError(f"its header announces {size:,} bytes of numbers, but {len(content):,} follow: it is cut short")
-    flat = np.frombuffer(content, kind).astype(float)
-    return flat.reshape(shape, order="F" if fortran else "C")
+    """An array in numpy's format, of numbers."""
+    header = read_header(stream)
+    if header.kind.kind not in "fiu":
+        raise InputError(f"it holds values of the kind {header.kind}, expected real numbers: save it as float64")
+    _check_shape(header.shape)
+    return np.asarray(read_values(stream, header).astype(float))
 
 
 def _read_archive(path: Path) -> Floats:
@@ -111,7 +100,9 @@ def _read_archive(path: Path) -> Floats:
         with open_bytes(path) as content, zipfile.ZipFile(content) as archive:
             if "z.npy" not in archive.namelist():
                 names = ", ".join(name.removesuffix(".npy") for name in archive.namelist()[:8])
-                raise InputError(f"it has no array z; it has {names or 'none'}: save it with numpy.savez(file, z=heights)")
+                raise InputError(
+                    f"it has no array z; it has {escaped(names) or 'none'}: save it with numpy.savez(file, z=heights)"
+                )
             with archive.open("z.npy") as stream:
                 return _read_array(stream)
     except InputError:
@@ -137,8 +128,8 @@ def _read_table(text: str, delimiter: str | None) -> Floats:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of blank lines, which are fine
-            # one row more than is allowed, to see that there are too many
-            most = MOST_SAMPLES // max(columns, 1) + 1
+            # one row more than is allowed, to see that there are too many; it sets aside all that it is told
+            most = min(MOST_SAMPLES // max(columns, 1), text.count("\n") + text.count("\r")) + 1
             return np.loadtxt(io.StringIO(text), delimiter=delimiter, ndmin=2, comments="#", max_rows=most)
     except (ValueError, OverflowError):
         raise InputError(_fault(text, delimiter, columns)) from None
@@ -156,7 +147,8 @@ def _fault(text: str, delimiter: str | None, columns: int) -> str:
                 float(word)
             except ValueError:
                 by = "commas" if delimiter else "blanks"
-                return f'line {number}, column {column}: "{word.strip()[:20]}" is not a number: expected numbers parted by {by}'
+                found = escaped(word.strip(), 20)
+                return f'line {number}, column {column}: "{found}" is not a number: expected numbers parted by {by}'
     return "it is not a table of numbers: save it again"
 
 
@@ -167,7 +159,7 @@ def _read_esri(text: str) -> tuple[Floats, tuple[float, float]]:
     while words and words[0][:1].isalpha() and words[0].lower() not in ("nan", "inf", "infinity"):
         name, value, *words = [*words, ""]
         if name.lower() not in FIRST_WORDS:
-            raise InputError(f'its header has the word "{name[:20]}", which ESRI grids do not know: save it again')
+            raise InputError(f'its header has the word "{escaped(name, 20)}", which ESRI grids do not know: save it again')
         header[name.lower()] = _header_number(name, value)
     missing = [name for name in ("ncols", "nrows", "cellsize") if name not in header]
     if missing:
@@ -185,14 +177,14 @@ def _read_esri(text: str) -> tuple[Floats, tuple[float, float]]:
         heights = np.array(words, dtype=float).reshape(shape)
     except ValueError:
         wrong = next((word for word in words if not _is_number(word)), words[0])
-        raise InputError(f'"{wrong[:20]}" is not a number: expected heights parted by blanks') from None
+        raise InputError(f'"{escaped(wrong, 20)}" is not a number: expected heights parted by blanks') from None
     _refuse_nodata(heights, header.get("nodata_value", ESRI_NODATA))
     return heights, (cell, cell)
 
 
 def _header_number(name: str, word: str) -> float:
     if not _is_number(word) or (name != "nodata_value" and not math.isfinite(float(word))):
-        raise InputError(f'its header has {name} = "{word[:20]}": expected a number')
+        raise InputError(f'its header has {name} = "{escaped(word, 20)}": expected a number')
     return float(word)
 
 
@@ -219,7 +211,8 @@ def _read_picture(path: Path) -> Floats:
     from PIL import Image, UnidentifiedImageError  # pictures alone need it
 
     try:
-        with open_bytes(path) as content, warnings.catch_warnings():
+        content = io.BytesIO(read_bytes(path))  # of a file, a chunk that claims 2 GB would be given 2 GB
+        with warnings.catch_warnings():
             # Pillow only warns of truncated data and of pictures large enough to fill the memory
             warnings.simplefilter("error")
             with Image.open(content, formats=["PNG", "TIFF"]) as picture:

@@ -12,6 +12,7 @@ import numpy as np
 
 from relax.arrays import Floats
 from relax.errors import InputError
+from relax.files.checks import escaped
 from relax.files.polygons import Polygons
 
 CODES = {
@@ -20,6 +21,7 @@ CODES = {
 }
 ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 CORNERS = ("vertex_indices", "vertex_index")
+LONGEST_COUNT = 16  # digits; a file that could hold more rows does not exist
 CUT_SHORT = "the file is cut short or its header is wrong; save it again"
 
 
@@ -100,14 +102,14 @@ def _header(lines: list[str]) -> tuple[str, list[_Element]]:
                 pass
             case ["format", name, "1.0"] if name in ORDERS:
                 order = ORDERS[name]
-            case ["element", name, count] if count.isdecimal():
+            case ["element", name, count] if count.isdecimal() and len(count) < LONGEST_COUNT:
                 elements.append(_Element(name, int(count)))
             case ["property", "list", count, kind, name] if elements and kind in CODES and CODES.get(count, "f") not in "fd":
                 elements[-1].properties.append(_Property(name, CODES[kind], CODES[count]))
             case ["property", kind, name] if elements and kind in CODES:
                 elements[-1].properties.append(_Property(name, CODES[kind], None))
             case _:
-                raise InputError(f'the header has a line that PLY does not know: "{line.strip()[:60]}"')
+                raise InputError(f'the header has a line that PLY does not know: "{escaped(line.strip(), 60)}"')
     if order is None:
         raise InputError("the header names no format: expected ascii, binary_little_endian or binary_big_endian, 1.0")
     return order, elements

@@ -10,6 +10,7 @@ import numpy as np
 
 from relax.arrays import Floats
 from relax.errors import InputError
+from relax.files.checks import escaped
 
 Polygons = list[list[int]]
 
@@ -42,7 +43,7 @@ def read_obj(content: bytes) -> tuple[Floats, Polygons]:
                 raise InputError(f"line {line}: a face counts back beyond the first vertex: mend the face")
         elif words[0] not in OBJ_IGNORED:
             raise InputError(
-                f'line {line}: unknown statement "{words[0][:20]}": expected v, f or another statement of polygon meshes'
+                f'line {line}: unknown statement "{escaped(words[0], 20)}": expected v, f or another statement of polygon meshes'
             )
     return _array(points), polygons
 
@@ -58,7 +59,7 @@ def read_off(content: bytes) -> tuple[Floats, Polygons]:
     if len(counts) < 2:
         raise InputError("expected the numbers of vertices, faces and edges behind OFF")
     vertices, faces = _whole(counts[0], 1), _whole(counts[1], 1)
-    if len(lines) != vertices + faces:
+    if min(vertices, faces) < 0 or len(lines) != vertices + faces:
         raise InputError(
             f"the header announces {vertices} vertices and {faces} faces, but {len(lines)} lines follow: it is cut short or "
             "has lines too many; save it again"
@@ -79,7 +80,8 @@ def read_stl(content: bytes) -> tuple[Floats, Polygons]:
     # many binary files start with "solid" as text files do, so the length decides
     facets = int.from_bytes(content[STL_HEADER - 4 : STL_HEADER], "little")
     if len(content) == STL_HEADER + facets * STL_FACET.itemsize:
-        corners = np.frombuffer(content, STL_FACET, facets, STL_HEADER)["corners"].astype(float).reshape(-1, 3)
+        with np.errstate(invalid="ignore"):  # of a signalling nan, which is refused as any other
+            corners = np.frombuffer(content, STL_FACET, facets, STL_HEADER)["corners"].astype(float).reshape(-1, 3)
     elif content.lstrip()[:5].lower() == b"solid" and b"\0" not in content:
         corners = _stl_text(content)
     else:
@@ -110,7 +112,9 @@ def _stl_text(content: bytes) -> Floats:
             if len(corners) != 3 * facets:
                 raise InputError(f"line {line}: a facet ends here that has no three corners: save the file again")
         elif last not in ("solid", "endsolid", "facet", "outer", "endloop"):
-            raise InputError(f'line {line}: unknown word "{words[0][:20]}": expected facet, vertex or another word of STL')
+            raise InputError(
+                f'line {line}: unknown word "{escaped(words[0], 20)}": expected facet, vertex or another word of STL'
+            )
     if last != "endsolid" or len(corners) != 3 * facets:
         raise InputError('the file does not end with "endsolid": it is cut short; save it again')
     return _array(corners)
@@ -135,14 +139,14 @@ def _number(word: str, line: int) -> float:
     try:
         return float(word)
     except ValueError:
-        raise InputError(f'line {line}: "{word[:20]}" is not a number') from None
+        raise InputError(f'line {line}: "{escaped(word, 20)}" is not a number') from None
 
 
 def _whole(word: str, line: int) -> int:
     try:
         return int(word)
     except ValueError:
-        raise InputError(f'line {line}: "{word[:20]}" is not a whole number') from None
+        raise InputError(f'line {line}: "{escaped(word, 20)}" is not a whole number') from None
 
 
 def _array(points: list[list[float]]) -> Floats:

@@ -24,7 +24,12 @@ if TYPE_CHECKING:
 __all__ = ["OURS", "StoredResult", "check_output", "load_result", "versions", "write_result"]
 
 Draw = Callable[[Path], None]
-OURS = ("result.json", "result.npz", "trace.npz", "supports.csv", "membrane.obj", "membrane.vtu", "picture.png", "view.html")
+PICTURES, FORMATS = ("picture", "tensions", "trace", "rounding", "values"), ("png", "pdf", "svg")
+OURS = (
+    *("result.json", "result.npz", "trace.npz", "supports.csv", "membrane.obj", "membrane.vtu", "view.html"),
+    # of a result that is replaced no picture may stay, whoever drew it
+    *(f"{name}.{kind}" for name in PICTURES for kind in FORMATS),
+)
 TRACE_ARRAYS = ("positions", "forces", "objective", "stationarity", "seconds", "unrounded_positions", "unrounded_forces")
 PACKAGES = {"relax": "relax-tensile", "numpy": "numpy", "scipy": "scipy", "cvxpy": "cvxpy", "clarabel": "clarabel"}
 COLUMNS = (

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -15,11 +16,12 @@ from relax.files.bytes import read_bytes
 from relax.files.checks import LARGEST, shown
 from relax.files.heights import read_heights
 from relax.files.meshes import read_mesh
-from relax.files.schema import Settings, drop_replaced, resolve
+from relax.files.schema import HEIGHT_SUFFIXES, MESH_SUFFIXES, Settings, drop_replaced, resolve
 from relax.membrane.mesh import Mesh, grid_mesh, mesh_from_faces
 from relax.membrane.scene import Scene, build_scene
 
 Overrides = Mapping[str, Any] | Sequence[str]
+LONG_KEY = re.compile(r"""(?<![\w"'-])(?:[\w"'-]+[ \t]*\.[ \t]*){50}""")  # tomllib needs memory with the square of its parts
 STARTS = ("auto", "target", "heavy")
 
 
@@ -42,11 +44,19 @@ def load_scene(path: str | os.PathLike[str], overrides: Overrides = ()) -> Scene
     changes = _parse_overrides(overrides)
     path = Path(path)
     try:
-        raw = _override(_read_toml(path), changes)
-        settings = resolve(raw, path.stem)
-        return _build(settings, path.parent)
+        return scene_from(_override(_read_toml(path), changes), path)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
+
+
+def scene_from(raw: Mapping[str, Any], path: Path) -> Scene:
+    """The scene of a file's sections and keys, as TOML gives them, if it lay at `path`; raises InputError without that path."""
+    return _build(resolve(raw, path.stem), path.parent)
+
+
+def override(raw: dict[str, Any], overrides: Overrides) -> dict[str, Any]:
+    """A file's sections and keys with `overrides` in place of what they replace, as for `load_scene`."""
+    return _override(raw, _parse_overrides(overrides))
 
 
 def start_folder(path: str | os.PathLike[str], scene: Scene) -> Path | None:
@@ -58,15 +68,20 @@ def start_folder(path: str | os.PathLike[str], scene: Scene) -> Path | None:
 def holds_result(folder: Path) -> bool:
     """Whether a result.json that can be read lies in `folder`."""
     try:
-        return isinstance(json.loads((folder / "result.json").read_bytes()), dict)
-    except (OSError, ValueError, RecursionError):
+        return isinstance(json.loads(read_bytes(folder / "result.json")), dict)
+    except (InputError, ValueError, RecursionError):
         return False
 
 
 def _read_toml(path: Path) -> dict[str, Any]:
     content = read_bytes(path)
+    if path.suffix.lower() in (*MESH_SUFFIXES, *HEIGHT_SUFFIXES):
+        raise InputError("this is a shape, and a scene file is expected: relax new writes one for it")
     try:
-        return tomllib.loads(content.decode("utf-8-sig"))
+        text = content.decode("utf-8-sig")
+        if LONG_KEY.search(text):
+            raise InputError("it holds a key of far more parts than section.key has: mend it")
+        return tomllib.loads(text)
     except UnicodeDecodeError as error:
         raise InputError(f"byte {error.start} is no text: a scene file is TOML in UTF-8") from None
     except tomllib.TOMLDecodeError as error:

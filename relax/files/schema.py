@@ -15,7 +15,9 @@ from relax.files.checks import (
     RefusedError,
     above,
     at_least,
+    box,
     either,
+    escaped,
     list_of,
     nonzero,
     number,
@@ -80,7 +82,6 @@ def _allowed(numbers: Numbers) -> Check:
 
 
 _vertices = list_of(whole)
-_corner = list_of(number, 2, 2)
 
 SCHEMA: dict[str, dict[str, Key]] = {
     "target": {
@@ -122,7 +123,7 @@ SCHEMA: dict[str, dict[str, Key]] = {
         ),
         "candidates": Key(
             "free",
-            either(one_of("free"), _vertices, table_of({"box": list_of(_corner, 2, 2)})),
+            either(one_of("free"), _vertices, table_of({"box": box})),
             '"free", a list of vertices, whole numbers from 0, or { box = [[x0, y0], [x1, y1]] }',
         ),
         "direction": Key(
@@ -178,6 +179,14 @@ _CONDITIONS: dict[tuple[str, str], tuple[Callable[[Settings], bool], str]] = {
 }
 
 
+def applies(section: str, name: str, *, heights: bool, penalty: str = "power") -> bool:
+    """Whether a key means something in a scene with a height field (else a mesh) and this penalty."""
+    if (section, name) not in _CONDITIONS:
+        return True
+    settings = {"target": {"heights": "" if heights else None}, "penalty": {"name": penalty}}
+    return _CONDITIONS[section, name][0](settings)
+
+
 def resolve(raw: Raw, stem: str = "scene") -> Settings:
     """Complete settings from what a scene file says.
 
@@ -222,7 +231,9 @@ def _title(value: Any) -> str:
 def _refuse_unknown(what: str, found: Raw, known: Any, prefix: str = "") -> None:
     for name in found:
         if name not in known:
-            raise InputError(f"{prefix}{name}: unknown {what}; {_meant(name, known)}possible are {', '.join(known)}")
+            homes = [f"{section}.{key}" for section, keys in SCHEMA.items() for key in keys if key == name and not prefix]
+            meant = f"perhaps {homes[0]} is meant; " if homes else _meant(name, known)
+            raise InputError(f"{prefix}{escaped(str(name))}: unknown {what}; {meant}possible are {', '.join(known)}")
 
 
 def _meant(found: Any, known: Any) -> str:

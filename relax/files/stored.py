@@ -90,7 +90,8 @@ def load_result(folder: str | os.PathLike[str]) -> StoredResult:
     """
     folder = Path(folder)
     if not folder.is_dir():
-        raise InputError(f"{folder}: no such folder: give one that relax solve wrote")
+        what = "this is a file, and a result folder is expected" if folder.exists() else "no such folder"
+        raise InputError(f"{folder}: {what}: give one that relax solve wrote")
     if not (folder / "result.json").exists() and not (folder / "result.npz").exists():
         raise InputError(f"{folder}: this folder holds no result: give one that relax solve wrote")
     try:

@@ -164,4 +164,5 @@ def relax_dynamically(
     run = iterate(method, method.begin(positions), method.limit)
     state = run.state
     stop = Stop.CONVERGED if state.residual <= FOUND else run.stop
-    return Equilibrium(state.positions, state.residual, stop, state.steps, 0, None, ("dynamic-relaxation",))
+    shape = membrane.kept_centroids(state.positions, positions)
+    return Equilibrium(shape, state.residual, stop, state.steps, 0, None, ("dynamic-relaxation",))

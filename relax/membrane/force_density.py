@@ -234,7 +234,8 @@ def find_by_force_density(membrane: Membrane, positions: Floats, applied: Floats
     run = iterate(method, method.begin(positions), LARGEST_LIMIT if limit is None else limit)
     state = run.state
     stop = Stop.CONVERGED if state.residual <= FOUND else run.stop
-    return Equilibrium(state.positions, state.residual, stop, run.steps, state.factorizations, None, ("force-density",))
+    shape = membrane.kept_centroids(state.positions, positions)
+    return Equilibrium(shape, state.residual, stop, run.steps, state.factorizations, None, ("force-density",))
 
 
 def prescribed_tensions(

@@ -6,10 +6,10 @@ from typing import Protocol
 from relax.arrays import Floats
 from relax.iterate import Stop
 from relax.membrane.dynamic_relaxation import relax_dynamically
-from relax.membrane.equilibrium import LARGEST_LIMIT, find_equilibrium
+from relax.membrane.equilibrium import LARGEST_LIMIT, find_equilibrium, with_last_digits
 from relax.membrane.force_density import find_by_force_density
 from relax.membrane.membrane import Membrane
-from relax.membrane.rest import Equilibrium
+from relax.membrane.rest import Balance, Equilibrium
 
 NEAR = 1e-6  # relative residual from which Newton finds the rest of the way in a few steps
 RESCUE_LIMIT = 20_000  # explicit steps to there: several times what a membrane that finds rest was seen to need
@@ -46,14 +46,14 @@ def form_find(membrane: Membrane, positions: Floats, applied: Floats, limit: int
     limit = LARGEST_LIMIT if limit is None else limit
     first = find_equilibrium(membrane, positions, applied, limit=limit)
     if first.found or first.stop not in WAYLAID:
-        return first
+        return _to_the_end(membrane, first, applied)
     rough = relax_dynamically(membrane, positions, applied, RESCUE_LIMIT, NEAR)
     ran = [first, rough]
     if NEAR >= rough.residual > 0:
         ran.append(find_equilibrium(membrane, rough.positions, applied, limit=limit))
         if not ran[-1].found:
             ran.append(relax_dynamically(membrane, rough.positions, applied, RESCUE_LIMIT))
-    best = min(ran, key=lambda one: one.residual)
+    best = _to_the_end(membrane, min(ran, key=lambda one: one.residual), applied)
     return replace(
         best,
         stop=best.stop if best.found else first.stop,
@@ -61,6 +61,14 @@ def form_find(membrane: Membrane, positions: Floats, applied: Floats, limit: int
         factorizations=sum(one.factorizations for one in ran),
         ran=tuple(name for one in ran for name in one.ran),
     )
+
+
+def _to_the_end(membrane: Membrane, found: Equilibrium, applied: Floats) -> Equilibrium:
+    """The same shape to the last digits, where there is a factorisation for it."""
+    if not found.found or found.factor is None or found.factor.singular:
+        return found
+    positions = with_last_digits(membrane, found.positions, applied, found.factor)
+    return replace(found, positions=positions, residual=Balance(membrane, applied, positions).measure(positions)[1])
 
 
 FORMERS: dict[str, Former] = {

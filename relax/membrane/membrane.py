@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.sparse import bsr_array, csc_array, csr_array
+from scipy.sparse import bsr_array, csc_array, csr_array, diags_array
 from scipy.sparse.csgraph import connected_components
 
 from relax.arrays import Floats, Ints, Mask, lock_arrays
@@ -12,6 +12,7 @@ from relax.factor import Engine, Factor, ScalarFactor, Symbolic
 from relax.membrane.springs import ForceDensity, Springs
 
 LIFT = 1e-4  # of the mean spring: what makes a semidefinite stiffness definite
+HELD_BY_A_SPRING = 1.0  # of the mean spring: what holds a vertex of a floating part; no balanced force stretches it
 
 
 @dataclass(frozen=True)
@@ -125,7 +126,7 @@ class Membrane:
     @cached_property
     def _linear_factor(self) -> Factor:
         """Of the constant K = S (x) I_3 of force densities, by one scalar factorisation, once a membrane."""
-        stiffness = self._linear_stiffness
+        stiffness = csc_array(self._linear_stiffness + self.grounding) if self.floating else self._linear_stiffness
         bound = self._pivot_bound(self.spring_constant, self.spring_constant)
         scalar = Factor(csc_array(stiffness[::3, ::3]), self._scalar_symbolic, bound)
         return ScalarFactor(stiffness, scalar)
@@ -135,12 +136,45 @@ class Membrane:
         return self._assemble(self.spring_constant[:, None, None] * np.eye(3))
 
     @cached_property
-    def _held(self) -> bool:
-        """Whether every connected part has a fixed vertex."""
+    def floating(self) -> tuple[Ints, ...]:
+        """The free vertices of each connected part without a fixed one, as indices into the free ones."""
         fixed = self.fixed[self.edges]
         beside = self.edges[~fixed & fixed[:, ::-1]]  # free vertices, each on an edge to a fixed one
         held = self.parts[np.searchsorted(self.free, beside)]
-        return len(np.unique(held)) == self.parts.max(initial=-1) + 1
+        return tuple(np.flatnonzero(self.parts == part) for part in np.setdiff1d(self.parts, held))
+
+    @cached_property
+    def _grounding(self) -> float:
+        """Stiffness of the spring that holds one vertex of each floating part while K is factorised (see `factor_at`)."""
+        return HELD_BY_A_SPRING * float(np.abs(self.spring_constant).mean())
+
+    @cached_property
+    def _ground(self) -> Floats | float:
+        """Blocks (n, 9) of those springs."""
+        if not self.floating:
+            return 0.0
+        blocks = np.zeros((len(self.free), 9))
+        for part in self.floating:
+            blocks[part[0]] = self._grounding * np.eye(3).ravel()
+        return blocks
+
+    @cached_property
+    def grounding(self) -> csc_array:
+        """Those springs as a matrix (3n, 3n): what a factorisation's matrix has besides K."""
+        diagonal = np.zeros((len(self.free), 3))
+        for part in self.floating:
+            diagonal[part[0]] = self._grounding
+        return csc_array(diags_array(diagonal.ravel()))
+
+    def kept_centroids(self, positions: Floats, start: Floats) -> Floats:
+        """Positions (V, 3) with each floating part moved to where its mean was at the start, for its forces leave that open."""
+        if not self.floating:
+            return positions
+        moved = positions.copy()
+        for part in self.floating:
+            vertices = self.free[part]
+            moved[vertices] += start[vertices].mean(axis=0) - positions[vertices].mean(axis=0)
+        return moved
 
     def _pivot_bound(self, least: Floats, largest: Floats, lift: float = 0.0) -> float:
         """A lower bound of every pivot of K as a part of its diagonal entry; 0 where this proves none.
@@ -148,21 +182,29 @@ class Membrane:
         `least` and `largest` (E,) are the smallest and the largest eigenvalue of each edge's block. Where no edge pushes, K is
         at least the Laplacian with conductances `least` in each direction, so a pivot, the energy that is left when one
         unknown moves by one and those eliminated before it follow, is at least the conductance of a path from its vertex to
-        a fixed one: the smallest of its edges over their number. `lift` is what stands on the diagonal besides.
+        a fixed one, or to the one that a spring holds: the smallest of its edges over their number. `lift` is what stands on
+        the diagonal besides.
         """
         if not len(self.free) or not len(least) or least.min() < 0:
             return 0.0
         entry = float((self._ends @ largest).max()) + lift
-        path = float(least.min()) / len(self.free) if self._held else 0.0
+        path = float(least.min()) / len(self.free)
+        if self.floating:  # what is lifted has no such spring
+            path, entry = 0.0 if lift else min(path, self._grounding / len(self.free)), entry + self._grounding
         return max(path, lift) / entry if entry > 0 else 0.0
 
     def factor_at(self, positions: Floats) -> Factor:
-        """A factorisation of K at `positions` (V, 3); of a linear membrane always the same one."""
+        """A factorisation of K at `positions` (V, 3); of a linear membrane always the same one.
+
+        Of a part without a fixed vertex one vertex is held by a spring. Under forces that add up to nothing that spring does not
+        stretch, so solves are right, with that vertex at rest; and the matrix is positive definite exactly where K is, off the
+        translations of such parts: from a bending of K a translation that takes the held vertex back can be taken away.
+        """
         if self.linear:
             return self._linear_factor
         state = self.edge_state(positions)
         bound = self._pivot_bound(np.minimum(state.density, state.stiffness), np.maximum(state.density, state.stiffness))
-        return Factor(self._assemble(_edge_stiffness(state)), self._symbolic, bound)
+        return Factor(self._assemble(_edge_stiffness(state), self._ground), self._symbolic, bound)
 
     def lifted_factor_at(self, positions: Floats) -> Factor:
         """The same of the taut part of K, lifted off singularity: definite, so a step is downhill."""

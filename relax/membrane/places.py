@@ -13,7 +13,15 @@ LEAST_WEIGHT = 0.01  # of a support near the ground: a weight of 0 would let it 
 
 
 def fixed_vertices(choice: Any, mesh: Mesh, target: Floats) -> Mask:
-    """Vertices that `supports.fixed` holds (V,); raises InputError where a part of the membrane has none, or no free one."""
+    """Vertices that `supports.fixed` holds (V,).
+
+    "none", or a list, may leave a connected part to its supports alone.
+
+    Raises
+    ------
+    InputError
+        No free vertex is left, or a part has no edge or corner to be fixed at.
+    """
     if choice == "boundary":
         fixed = boundary_vertices(mesh)
     elif choice == "corners":
@@ -25,13 +33,50 @@ def fixed_vertices(choice: Any, mesh: Mesh, target: Floats) -> Mask:
     labels = component_labels(mesh)
     held = np.zeros(labels.max() + 1, dtype=bool)
     held[labels[fixed]] = True
-    if not held.all():
+    if not held.all() and choice in ("boundary", "corners"):
         vertex = int(np.argmin(held[labels]))
         raise InputError(
-            f"supports.fixed: no vertex is fixed in the part of the membrane that holds vertex {vertex}, so nothing keeps it "
-            "in place: fix at least one vertex of each connected part"
+            f"supports.fixed: the part of the membrane that holds vertex {vertex} has no {choice}, so nothing keeps it in place: "
+            'list the fixed vertices, or give "none" to hold the membrane by supports alone'
         )
     return fixed
+
+
+def check_floating(settings: Mapping[str, Any], fixed: Mask, candidates: Mask, mesh: Mesh) -> tuple[str, ...]:
+    """A remark on a part that a list of fixed vertices leaves to its supports alone; what cannot hold such a part is refused.
+
+    Raises
+    ------
+    InputError
+        Supports that do not point anywhere, or fewer than two candidates there; a metric in which vertices may slide.
+    """
+    supports = settings["supports"]
+    labels = component_labels(mesh)
+    floating = np.setdiff1d(labels, labels[fixed])
+    if not floating.size:
+        return ()
+    where = f"the part of the membrane that holds vertex {int(np.argmax(labels == floating[0]))} has no fixed vertex"
+    key = "direction" if supports["direction"] != "any" else "max_force"
+    if supports["direction"] != "any" or supports["max_force"] is not None:
+        raise InputError(
+            f"supports.{key}: {where}, so supports alone hold it, whose forces must add up to nothing but its loads: let them "
+            'point anywhere (direction = "any", no max_force), or fix a vertex'
+        )
+    if settings["target"]["metric"] != "pairs":
+        raise InputError(
+            f"target.metric: {where}, and a metric in which vertices may slide lets it shrink along the target until it needs no "
+            'supports: use "pairs", or fix a vertex'
+        )
+    for part in floating:
+        if np.count_nonzero(candidates[labels == part]) < 2:
+            vertex = int(np.argmax(labels == part))
+            raise InputError(
+                f"supports.candidates: the part of the membrane that holds vertex {vertex} has neither a fixed vertex nor two "
+                "places for a support, so nothing can hold it: widen candidates, or fix a vertex"
+            )
+    if supports["fixed"] == "none":
+        return ()
+    return (f"supports.fixed: {where}: supports alone hold it",)
 
 
 def candidate_vertices(supports: Mapping[str, Any], fixed: Mask, mesh: Mesh, target: Floats) -> Mask:
@@ -41,7 +86,14 @@ def candidate_vertices(supports: Mapping[str, Any], fixed: Mask, mesh: Mesh, tar
         mask = ~fixed
     elif isinstance(choice, Mapping):
         low, high = np.asarray(choice["box"], dtype=float)
-        mask = ~fixed & (target[:, :2] >= low).all(axis=1) & (target[:, :2] <= high).all(axis=1)
+        inside = (target[:, :2] >= low).all(axis=1) & (target[:, :2] <= high).all(axis=1)
+        if not inside.any():
+            (x0, y0), (x1, y1) = target[:, :2].min(axis=0), target[:, :2].max(axis=0)
+            raise InputError(
+                f"supports.candidates: no vertex lies in the box; the target reaches from x = {x0:.4g} to {x1:.4g} and from "
+                f"y = {y0:.4g} to {y1:.4g}: move the box"
+            )
+        mask = ~fixed & inside
     else:
         mask = _listed("supports.candidates", choice, mesh)
         _refuse_fixed("candidates", mask & fixed)

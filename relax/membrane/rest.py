@@ -87,9 +87,22 @@ class Balance:
         after[self.membrane.free] += displacement
         return after
 
+    @cached_property
+    def adrift(self) -> int | None:
+        """A vertex of a part without a fixed vertex whose applied forces add up to something, so that it rests nowhere."""
+        if not self.membrane.floating:
+            return None
+        tension = np.abs(self.membrane.tension(self.start)).max()
+        scale = max(tension, np.linalg.norm(self.applied, axis=1).max())
+        for part in self.membrane.floating:
+            # each vertex of a shape that counts as found may leave its share
+            if np.linalg.norm(self.applied[part].sum(axis=0)) > FOUND * len(part) * scale:
+                return int(self.membrane.free[part[0]])
+        return None
+
     def lost(self, positions: Floats) -> bool:
-        """Whether the membrane has moved away without bound."""
-        return float(np.abs(positions - self.anchor).max()) > self._reach
+        """Whether the membrane has moved away without bound, or would."""
+        return self.adrift is not None or float(np.abs(positions - self.anchor).max()) > self._reach
 
 
 def differences(membrane: Membrane) -> tuple[csr_array, csr_array]:

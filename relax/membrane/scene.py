@@ -12,7 +12,7 @@ from relax.factor import Engine
 from relax.membrane.material import make_material, rest_shape
 from relax.membrane.membrane import Membrane
 from relax.membrane.mesh import Mesh, vertex_areas
-from relax.membrane.places import candidate_vertices, fixed_vertices, support_weights
+from relax.membrane.places import candidate_vertices, check_floating, fixed_vertices, support_weights
 from relax.membrane.springs import SPRINGS
 from relax.membrane.target import check_coordinates, metric_blocks, with_noise
 
@@ -144,12 +144,15 @@ def build_scene(settings: Settings, mesh: Mesh, target: Floats, rest: Floats | N
         Names section, key and index.
     """
     membrane, supports = settings["membrane"], settings["supports"]
+    target = np.asarray(target, dtype=np.float64)
+    rest = None if rest is None else np.asarray(rest, dtype=np.float64)
     check_coordinates(target)
     plan = target * [1.0, 1.0, 0.0]
     fixed = fixed_vertices(supports["fixed"], mesh, target)
     shape = rest_shape(membrane, target, rest)
     material = make_material(membrane, mesh, shape, target, fixed)
     candidates = candidate_vertices(supports, fixed, mesh, target)
+    remarks = (*material.remarks, *check_floating(settings, fixed, candidates, mesh))
     area = vertex_areas(plan, mesh)
     start = shape.copy() if isinstance(rest, np.ndarray) else plan
     start[fixed] = target[fixed]
@@ -166,5 +169,5 @@ def build_scene(settings: Settings, mesh: Mesh, target: Floats, rest: Floats | N
         metric=metric_blocks(settings["target"], mesh, target, area, fixed),
         support_weight=support_weights(supports, candidates, target),
         settings=settings,
-        remarks=material.remarks,
+        remarks=remarks,
     )

@@ -6,24 +6,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
-from matplotlib.collections import PolyCollection
-from matplotlib.colors import Normalize, to_rgba
-from matplotlib.figure import Figure
-from matplotlib.patheffects import withStroke
-from matplotlib.ticker import MaxNLocator
+from matplotlib.colors import Normalize
 
 from relax.arrays import Floats
-from relax.plots.view import ERROR, full_corners
+from relax.plots.plan import draw_fabric, draw_held, frame_plan
+from relax.plots.style import BEST, COLUMN, CORNER, INK, NOWHERE, WORTH, colour_bar, halo, headline, new_figure, save
+from relax.plots.view import look_at_shape, objective_unit
 
 if TYPE_CHECKING:
+    from relax.design.solve import Design
     from relax.membrane.scene import Scene
 
-SIZE = (5.6, 5.2)  # inches
-DOTS = 180  # per inch
-SMALL, LARGE = 9.0, 10.5  # points
-NOWHERE = to_rgba("#e3e1db")  # where no support may stand
+HEIGHT = 3.75  # inches
 
 
 @dataclass(frozen=True)
@@ -35,45 +30,46 @@ class Look:
     top: float
 
 
-PULL = Look("pull", "pull / steepest slope of the penalty: above 1 a small support pays", 1.0)
-FIT = Look("fit", "fall of the distance term that a mast promises, its price not counted, {unit}", 0.0)
+PULL = Look("pull", "pull / steepest slope of R; above 1 a small mast pays", 0.01)
+FIT = Look("fit", "fall of E_dist that a mast promises, without R, {unit}", 0.0)
+
+
+def draw_values(design: "Design", path: Path) -> None:
+    """Write the value of a mast at every vertex of `design`, its pull, to `path`; as `draw_field` does.
+
+    Raises
+    ------
+    EquilibriumError
+        The stiffness is singular at this shape, so that no pull exists.
+    """
+    from relax.design.explain import pull
+
+    values = pull(design.problem, design.positions, design.forces)
+    draw_field(design.problem.scene, values, [mast.vertex for mast in design.supports], path)
 
 
 def draw_field(scene: "Scene", values: Floats, heads: Sequence[int], path: Path, look: Look = PULL) -> None:
-    """Write a field of the vertices (V,), nan where it has no value, to `path`, a PNG of 1008 x 936 pixels, `heads` marked."""
-    figure = Figure(figsize=SIZE, dpi=DOTS, facecolor="white")
-    FigureCanvasAgg(figure)
-    axes = figure.add_axes((0.1, 0.2, 0.87, 0.68))
-    flat, known = scene.target[:, :2], np.isfinite(values)
-    scale = ScalarMappable(Normalize(0.0, max(float(values[known].max(initial=0.0)), look.top) or 1.0), ERROR)
-    colours = _face_colours(scene, values, scale)
-    corners = list(flat[full_corners(scene.mesh.faces)])
-    axes.add_collection(PolyCollection(corners, facecolors=colours, edgecolors=colours, linewidths=0.3))
-    chosen = list(heads)
-    mark: Any = {"linestyle": "none", "marker": "o", "markersize": 6, "color": "#1a1a1a", "markeredgecolor": "white"}
-    if chosen:
-        axes.plot(*flat[chosen].T, label="support", **mark)
+    """Write a field of the vertices (V,), nan where it has no value, to `path`, `heads` marked; 3.5 by 3.75 inches.
+
+    In plan, over the wanted shape. Vertices without a value are grey.
+    """
+    view = look_at_shape(scene, scene.target)
+    figure = new_figure(COLUMN, HEIGHT)
+    axes = figure.add_axes((0.13, 0.215, 0.84, 0.66))
+    known = np.isfinite(values)
+    scale = ScalarMappable(Normalize(0.0, max(float(values[known].max(initial=0.0)), look.top) or 1.0), WORTH)
+    draw_fabric(axes, view, _face_colours(scene, values, scale))
+    draw_held(axes, view)
+    mark: Any = {"linestyle": "none", "marker": "o", "markersize": 4, "color": INK, "markeredgecolor": "white"}
+    if len(heads):
+        axes.plot(*view.flat[list(heads)].T, label="support", markeredgewidth=0.5, **mark)
     if known.any() and values[known].max() > 0:
-        _mark_best(axes, flat[int(np.nanargmax(np.where(known, values, np.nan)))], largest=float(values[known].max()))
-    axes.set_aspect("equal")
-    axes.autoscale_view()
-    axes.tick_params(labelsize=SMALL)
-    axes.set_xlabel("x, m", fontsize=SMALL)
-    axes.set_ylabel("y, m", fontsize=SMALL)
-    axes.spines[:].set_visible(False)
-    figure.suptitle(scene.title, fontsize=LARGE, x=0.02, y=0.98, ha="left")
-    figure.legend(
-        *axes.get_legend_handles_labels(), fontsize=SMALL, frameon=False, loc="upper left", bbox_to_anchor=(0.0, 0.955), ncols=2
-    )
-    bar = figure.colorbar(scale, cax=figure.add_axes((0.1, 0.095, 0.87, 0.02)), orientation="horizontal")
-    # E_dist weighs squares of lengths by areas where that is asked for
-    bar.set_label(look.words.format(unit="m\u2074" if scene.settings["target"]["area_weights"] else "m\u00b2"), fontsize=SMALL)
-    # the power of ten that matplotlib splits off would be written into the words
-    bar.ax.xaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10]))
-    bar.ax.xaxis.set_major_formatter(lambda value, _: f"{value:.6g}")
-    bar.ax.tick_params(labelsize=SMALL)
-    bar.outline.set_visible(False)
-    figure.savefig(path, dpi=DOTS, format="png")
+        _mark_best(axes, view.flat[int(np.nanargmax(np.where(known, values, np.nan)))], largest=float(values[known].max()))
+    frame_plan(axes, view, "")
+    headline(figure, scene.title, "what a mast is worth")
+    figure.legend(*axes.get_legend_handles_labels(), ncols=3, handlelength=1.6, columnspacing=1.2, **CORNER)
+    colour_bar(figure, scale, (0.13, 0.09, 0.84, 0.02), look.words.format(unit=objective_unit(scene)))
+    save(figure, path)
 
 
 def _face_colours(scene: "Scene", values: Floats, scale: ScalarMappable) -> Any:
@@ -86,6 +82,5 @@ def _face_colours(scene: "Scene", values: Floats, scale: ScalarMappable) -> Any:
 
 
 def _mark_best(axes: Any, place: Floats, largest: float) -> None:
-    mark: Any = {"color": "#d55e00", "markersize": 11, "markeredgewidth": 2.2, "linestyle": "none"}
-    halo = [withStroke(linewidth=3.0, foreground="white")]
-    axes.plot(*place, marker="+", path_effects=halo, label=f"largest, {largest:.3g}", **mark)
+    mark: Any = {"color": BEST, "markersize": 8, "markeredgewidth": 1.6, "linestyle": "none"}
+    axes.plot(*place, marker="+", path_effects=halo(2.2), label=f"largest, {largest:.3g}", **mark)

@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 
 from relax.arrays import Floats, Ints
+from relax.plots.style import SHAPES
 
 Colour = tuple[float, float, float, float]
 
@@ -98,6 +99,7 @@ def paint(axes: Axes, camera: Camera, layers: Sequence[Patches]) -> None:
             linewidths=np.concatenate([layer.width for layer in layers])[order],
             capstyle="round",
             joinstyle="round",
+            rasterized=len(order) > SHAPES,
         ),
         autolim=False,
     )

@@ -16,6 +16,7 @@ from relax.design.methods.greedy import LIMIT as MOVES
 from relax.design.methods.greedy import Greedy
 from relax.design.methods.quadratic import Quadratic, quadratic_of, small_problem
 from relax.design.methods.relaxation import relaxation_of
+from relax.design.methods.smooth import refuse_floating
 from relax.design.methods.tree import SAME, explore
 from relax.design.problem import Problem
 from relax.design.refit import Shape, figures, refit
@@ -112,6 +113,7 @@ def exact(problem: Problem, start: Start, journal: Journal) -> tuple[Shape, Shap
 
 def _refuse(problem: Problem) -> None:
     """Raise InputError where the problem is none for a tree."""
+    refuse_floating(problem, "exact")
     if not problem.membrane.linear:
         raise InputError(
             f"the exact method needs a membrane whose shape is linear in the forces, and membrane.springs is "

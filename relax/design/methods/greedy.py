@@ -13,6 +13,7 @@ import numpy as np
 
 from relax.arrays import Floats, Ints, Mask
 from relax.design.landscape import Landscape
+from relax.design.methods.smooth import refuse_floating
 from relax.design.model import Model, model_on_supports
 from relax.design.problem import Problem
 from relax.design.refit import Shape, figures, loaded
@@ -232,9 +233,12 @@ def greedy(problem: Problem, start: Start, journal: Journal) -> tuple[Shape, Sha
 
     Raises
     ------
+    InputError
+        A part of the membrane has no fixed vertex.
     EquilibriumError
         The membrane finds no rest where it begins.
     """
+    refuse_floating(problem, "greedy")
     method = Greedy(problem)
     run = iterate(method, method.begin(_first(problem, start.shape)), LIMIT, journal)
     return run.state.shape, run.state.shape

@@ -2,20 +2,21 @@
 
 The steps are a search of small models (search.py) where the penalty tells sizes, which is the default; with a back-end they are
 cone programs with reweighted norms (sequential.py), and the search has the last word: what it joins, moves or drops must lower
-the objective.
+the objective. So are the first ones where a part of the membrane has no fixed vertex.
 """
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from relax.arrays import Mask
+from relax.arrays import Floats, Mask
 from relax.convex.backends import Backend, quick, working_set
 from relax.convex.reweighted import GRADUAL
 from relax.design.problem import Problem
 from relax.design.refit import Shape
-from relax.design.rounding import SEATS, Rounded, round_supports, seated
+from relax.design.rounding import Rounded, gently_seated, round_supports, seated
 from relax.design.search import Search
 from relax.design.sequential import SequentialConvex
 from relax.design.starts import Start
@@ -23,10 +24,12 @@ from relax.design.trace import Journal
 from relax.errors import EquilibriumError, InputError
 from relax.iterate import Algorithm, iterate
 from relax.sparsity.penalties import is_convex, steepest
+from relax.sparsity.supports import sizes
 from relax.sparsity.surrogates import Continuation
 
 STEPS = 60  # convex steps a sequence; those seen to converge took 3 to 25
 HEAVY_STEPS = 2  # under the first, heavy weights: enough to know where the few masts stand
+LEAST = 0.03  # of the largest first force: a smaller one counts as this in secant weights, else it could not come back
 ROUNDS = 8  # of convex steps and rounding, while the certificate names candidates that are missing; 1 to 4 were seen to do
 
 
@@ -38,7 +41,7 @@ class Sequential:
     ----------
     backend : Backend or None
         Who solves convex steps with reweighted norms; None: a search of models, and the working set where the penalty's weights
-        never change.
+        never change or a part has no fixed vertex.
     continuation : Continuation
         How smoothing shrinks in the search.
     moves : "search" or "none"
@@ -55,8 +58,14 @@ class Sequential:
     moves: str = "search"
 
     def searches(self, problem: Problem) -> bool:
-        """Whether its steps are a search of models."""
-        return self.backend is None and not is_convex(problem.penalty)
+        """Whether its steps are a search of models.
+
+        Where a part has no fixed vertex, forces almost everywhere hold it at first, and a model that lets go of most of them at
+        once is far from the truth: damped cone steps go first there, if the penalty has weights for them.
+        """
+        if self.backend is not None or is_convex(problem.penalty):
+            return False
+        return not problem.membrane.floating or not np.isfinite(steepest(problem.penalty))
 
     def __call__(self, problem: Problem, start: Start, journal: Journal) -> tuple[Shape, Shape]:
         """The rounded shape, and the one before the first rounding."""
@@ -66,12 +75,16 @@ class Sequential:
             journal.stage = f"start {start.name}, first weights"
             rough = self.backend or quick
             shape = _sequence(SequentialConvex(problem, lambda _: constant, rough), shape, HEAVY_STEPS, journal)
+        if _levels_off(problem, shape) and self.backend is None:
+            journal.stage = f"start {start.name}, secant weights"
+            shape = _sequence(SequentialConvex(problem, _Secants(problem, shape), working_set), shape, STEPS, journal)
+            return _rounds(Search(problem, self.continuation), shape, start, journal)
         if self.searches(problem):
             return _rounds(Search(problem, self.continuation), shape, start, journal)
         if not np.isfinite(steepest(problem.penalty)):
             raise InputError(
-                f'solver.backend: the penalty "{problem.penalty.name}" jumps at zero, so convex steps with reweighted norms '
-                "cannot tell where a support is worth its price: leave the back-end out (a search of models can)"
+                f'solver: the penalty "{problem.penalty.name}" jumps at zero, so convex steps with reweighted norms '
+                'cannot tell where a support is worth its price: use the method "sequential" and the back-end "auto"'
             )
         steps = SequentialConvex(problem, problem.group_weights, self.backend or working_set)
         found, unrounded = _rounds(steps, shape, start, journal)
@@ -82,6 +95,24 @@ class Sequential:
 
 SEQUENTIAL = Sequential()
 REWEIGHTED_L1 = Sequential(working_set, moves="none")  # cone steps and rounding alone, as published
+
+
+def _levels_off(problem: Problem, shape: Shape) -> bool:
+    """Whether a part has no fixed vertex and R no slope at the forces that hold it, so that reweighted norms would let all be."""
+    largest = sizes(shape.amplitudes).max(initial=0.0, keepdims=True)
+    return bool(problem.membrane.floating) and problem.penalty.slope(largest)[0] == 0
+
+
+@dataclass(frozen=True)
+class _Secants:
+    """Weights R(t) / t at each force t, at least a share of the largest of a first shape: never none, though R levels off."""
+
+    problem: Problem
+    first: Shape
+
+    def __call__(self, amplitudes: Floats) -> Floats:
+        size = np.maximum(sizes(amplitudes), LEAST * sizes(self.first.amplitudes).max())
+        return self.problem.strength * self.problem.supports.weights * self.problem.penalty.value(size) / size
 
 
 def _moved(search: Search, shape: Shape, start: Start, journal: Journal) -> Shape:
@@ -128,11 +159,11 @@ def _rounds(method: SequentialConvex | Search, shape: Shape, start: Start, journ
 
 
 def _seated(problem: Problem, result: Rounded, keep: Mask, journal: Journal) -> Rounded:
-    """What Newton on R makes of first forces where supports are missing; of one alone where many at once came to nothing."""
+    """What Newton on R makes of first forces where supports are missing; of small ones, of one, where many came to nothing."""
     standing = problem.standing(result.shape.amplitudes)
-    for seats in (SEATS, 1):
+    for seat in (seated, gently_seated, partial(seated, seats=1)):
         # what stood by its size may shrink beside a newcomer: dropped now, it would only be missed
-        found = round_supports(problem, seated(problem, result, seats), keep | standing, journal)
+        found = round_supports(problem, seat(problem, result), keep | standing, journal)
         if _objective(problem, found.shape) < _objective(problem, result.shape):
             break
     return found

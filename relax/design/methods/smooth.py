@@ -41,6 +41,15 @@ class Smoothed:
         return share * self.penalty.curvature(height) + (1 - share) * self.across(size)
 
 
+def refuse_floating(problem: Problem, method: str) -> None:
+    """Raise InputError where a part has no fixed vertex, for a method that knows no condition on what forces add up to."""
+    if problem.membrane.floating:
+        raise InputError(
+            f'solver.method "{method}" cannot treat a part of the membrane without a fixed vertex, whose support forces must '
+            'balance: use the method "sequential" or "reweighted-l1", or fix a vertex'
+        )
+
+
 def refuse_constraints(problem: Problem, method: str) -> None:
     """Raise InputError where a problem asks for what a method without constraints on supports cannot give.
 
@@ -50,6 +59,7 @@ def refuse_constraints(problem: Problem, method: str) -> None:
         Supports that lean or push only so far or always stand, or a penalty without a slope.
     """
     supports = problem.supports
+    refuse_floating(problem, method)
     lacks = ""
     if supports.reach.constrained:
         lacks = "supports whose direction or force is bounded (supports.direction, supports.max_force)"
