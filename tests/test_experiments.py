@@ -26,6 +26,7 @@ EXPERIMENTS = Path(__file__).parent.parent / "experiments"
         ("refinement", {"case", "vertices", "supports", "objective", "tip, m", "beside, m", "off", "converged"}),
         ("forms", {"case", "vertices", "method", "seconds", "iterations", "residual", "found", "apart, m", "ran", "stop"}),
         ("screenshots", {"scene", "vertices", "steps", "MB", "written, s", "opened, s", "complaints"}),
+        ("recovery", {"formulation", "scenes and weight", "scenes", "exact", "precision", "recall", "force error", "converged"}),
         ("stability", {"axis", "value", "outcome", "equilibrium", "stationarity", "drift", "as planted", "sentence"}),
         pytest.param(
             "accuracy",
