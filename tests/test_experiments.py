@@ -24,6 +24,14 @@ EXPERIMENTS = Path(__file__).parent.parent / "experiments"
         ("formulations", {"scene", "penalty", "method", "back-end", "objective", "above", "stationarity", "converged"}),
         ("ablation", {"skip", "scene", "there", "with, s", "without, s", "saved", "apart", "same supports", "as said"}),
         ("refinement", {"case", "vertices", "supports", "objective", "tip, m", "beside, m", "off", "converged"}),
+        ("ingredients", {"ingredient", "instead", "scene", "rise", "supports without", "times", "changed", "asked", "converged"}),
+        pytest.param(
+            "run_time",
+            {"scene", "method", "1e-2 above, s", "1e-6 above, s", "above", "stationarity", "equilibrium", "converged"},
+            marks=pytest.mark.skipif(
+                not find_spec("benchopt"), reason="benchopt is not installed: pip install -e '.[benchmark]'"
+            ),
+        ),
         ("forms", {"case", "vertices", "method", "seconds", "iterations", "residual", "found", "apart, m", "ran", "stop"}),
         ("screenshots", {"scene", "vertices", "steps", "MB", "written, s", "opened, s", "complaints"}),
         ("recovery", {"formulation", "scenes and weight", "scenes", "exact", "precision", "recall", "force error", "converged"}),
