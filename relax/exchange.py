@@ -6,16 +6,16 @@ from typing import Any
 import click
 
 from relax.errors import InputError
-from relax.shell import DONE, quiet_option, result_argument
+from relax.shell import DONE, Named, quiet_option, result_argument
 
 KINDS = ("compas", "obj")  # the registry imports numpy, which help does not wait for; a test holds this to it
 SHELLS = ("bash", "zsh", "fish")
 
 
 @click.command(epilog="\b\nExample: relax new roof.obj && relax solve roof.toml")
-@click.argument("shape", metavar="MESH_OR_HEIGHTS", type=click.Path(path_type=Path))
+@click.argument("shape", metavar="MESH_OR_HEIGHTS", type=Named(path_type=Path))
 @click.option(
-    "-o", "--output", metavar="SCENE.toml", type=click.Path(path_type=Path), help="Default: <name>.toml in the current folder."
+    "-o", "--output", metavar="SCENE.toml", type=Named(path_type=Path), help="Default: <name>.toml in the current folder."
 )
 @quiet_option
 def new(shape: Path, output: Path | None, *, quiet: bool) -> int:
@@ -52,9 +52,7 @@ def new(shape: Path, output: Path | None, *, quiet: bool) -> int:
 @click.option(
     "--to", "kind", type=click.Choice(KINDS), required=True, help="compas: a network as JSON; obj: with the supports as lines."
 )
-@click.option(
-    "-o", "--output", metavar="FILE", type=click.Path(path_type=Path), help="Default: <name>-export in the current folder."
-)
+@click.option("-o", "--output", metavar="FILE", type=Named(path_type=Path), help="Default: <name>-export in the current folder.")
 @quiet_option
 def export(result: Path, kind: str, output: Path | None, *, quiet: bool) -> int:
     """Write a result for other programs.

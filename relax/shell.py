@@ -27,6 +27,16 @@ def _folder(_context: click.Context, _option: click.Parameter, text: str | None)
     return None if text is None else Path(text)
 
 
+class Named(click.Path):
+    """A path that is typed; empty text would mean the current folder."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        if not str(value).strip():
+            word = param.metavar if isinstance(param, click.Argument) else param.opts[0] if param else "a path"
+            raise InputError(f"{word}: the name is empty: give one")
+        return super().convert(value, param, ctx)
+
+
 def output_option(default: str) -> Callable[[Any], Any]:
     """Where to write; `default` in words."""
     return click.option("-o", "--output", metavar="DIR", callback=_folder, help=f"Result folder. Default: {default}.")
@@ -93,8 +103,8 @@ def complete_keys(_context: click.Context, _parameter: click.Parameter, incomple
     ]
 
 
-scene_argument = click.argument("scene", metavar="SCENE.toml", type=click.Path(path_type=Path), shell_complete=complete_scenes)
-result_argument = click.argument("result", metavar="RESULT_DIR", type=click.Path(path_type=Path), shell_complete=complete_results)
+scene_argument = click.argument("scene", metavar="SCENE.toml", type=Named(path_type=Path), shell_complete=complete_scenes)
+result_argument = click.argument("result", metavar="RESULT_DIR", type=Named(path_type=Path), shell_complete=complete_results)
 set_option = click.option(
     "--set",
     "assignments",

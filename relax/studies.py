@@ -23,7 +23,8 @@ from relax.shell import (
 )
 
 if TYPE_CHECKING:
-    from relax.design.explain import Explanation, MastValues
+    from relax.design.explain import Explanation
+    from relax.design.mast_values import MastValues
     from relax.design.solve import Design
     from relax.design.trade_off import TradeOff
     from relax.files import StoredResult
@@ -168,7 +169,7 @@ def explain(result: Path, output: Path | None, *, gains: bool, **options: Any) -
     from dataclasses import asdict
 
     from relax.design.explain import explain as explained
-    from relax.design.explain import refuse_floating
+    from relax.design.mast_values import refuse_floating
     from relax.design.problem import Problem
     from relax.files import load_result
     from relax.files.folders import check_folder
@@ -211,7 +212,7 @@ def explain(result: Path, output: Path | None, *, gains: bool, **options: Any) -
 
 def _gains(stored: "StoredResult", *, quiet: bool) -> "MastValues | None":
     """What a mast at each candidate promises; None after Ctrl-C."""
-    from relax.design.explain import mast_values
+    from relax.design.mast_values import mast_values
     from relax.design.problem import Problem
 
     problem = Problem(stored.scene)

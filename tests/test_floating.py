@@ -13,8 +13,9 @@ from scipy.spatial.transform import Rotation
 from relax.convex.backends import clarabel
 from relax.convex.reweighted import Reweighted
 from relax.convex.subproblem import certify
-from relax.design.explain import explain, mast_values
+from relax.design.explain import explain
 from relax.design.form import form
+from relax.design.mast_values import mast_values
 from relax.design.optimality import judge
 from relax.design.path import largest_weight, path
 from relax.design.problem import Problem

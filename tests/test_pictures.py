@@ -352,7 +352,7 @@ def test_a_picture_that_does_not_exist_for_this_shape_is_left_out_with_a_word(so
     def singular(*_):
         raise relax.EquilibriumError("the stiffness is singular")
 
-    monkeypatch.setattr("relax.design.explain.pull", singular)
+    monkeypatch.setattr("relax.design.mast_values.pull", singular)
     assert run(["plot", "hill-result"]) == 0
     out, err = capfd.readouterr()
     assert "values.png is not drawn: the stiffness is singular" in err and "values" not in out

@@ -151,6 +151,10 @@ BAD = [
     (["compare", "hill.toml", "-o", "hill.npy/x"], "is a file"),
     (["compare", "hill.toml", "--set", "penalty.wieght=1"], "unknown key"),
     (["explain", "nowhere"], "nowhere: no such folder"),
+    (["explain", ""], "RESULT_DIR: the name is empty"),
+    (["path", " "], "SCENE.toml: the name is empty"),
+    (["new", ""], "MESH_OR_HEIGHTS: the name is empty"),
+    (["new", "hill.npy", "-o", ""], "-o: the name is empty"),
     (["explain", ".", "--gains"], "--gains: the field it makes is only written"),
 ]
 

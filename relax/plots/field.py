@@ -42,7 +42,7 @@ def draw_values(design: "Design", path: Path) -> None:
     EquilibriumError
         The stiffness is singular at this shape, so that no pull exists.
     """
-    from relax.design.explain import pull
+    from relax.design.mast_values import pull
 
     values = pull(design.problem, design.positions, design.forces)
     draw_field(design.problem.scene, values, [mast.vertex for mast in design.supports], path)
