@@ -41,7 +41,7 @@ import relax
 from relax.design.methods.lagrangian import lagrangian
 from relax.plots.gallery import PICTURES
 from relax.plots.plan import plan_panel
-from relax.plots.rounding import DECADES, dots, draw_ranks
+from relax.plots.rounding import count_forces, dots, draw_ranks
 from relax.plots.space import draw_space
 from relax.plots.style import COLUMN, WORDS, colour_bar, headline, metres, new_figure, save
 from relax.plots.view import View, look_at_shape, look_at_state
@@ -102,7 +102,7 @@ def _figures(design: relax.Design | None, planted: float | None) -> dict[str, An
     return {
         "objective": said.objective,
         "rms distance, m": said.rms_distance,
-        "forces": int((size > 10.0**-DECADES * size.max()).sum()),
+        "forces": count_forces(size, float(size.max())),
         "above 1e-3": int((size > 1e-3 * size.max()).sum()),
         "largest, N": float(size.max()),
         "sum, N": float(size.sum()),
@@ -165,8 +165,8 @@ def rounding_figure(name: str) -> Figure:
     views = [replace(view, top=top) for view in views]
     for left, view, size, words in zip((0.11, 0.6), views, sizes, ("before", "after"), strict=True):
         off = 100 * (size[MAST] / np.linalg.norm(FORCE) - 1)
-        count = int((size > 10.0**-DECADES * largest).sum())
         weak = "weak" if off < 0 else "strong"
+        count = count_forces(size, largest)
         said = f"{words}: {count} force{'s' * (count > 1)},\nmast {abs(off):.2g} % too {weak}"
         plan_panel(figure.add_axes((left, 0.555, 0.37, 0.33)), view, view.colours, said, dots(size, largest))
     colour_bar(figure, views[0].scale, (0.11, 0.46, 0.86, 0.015), "distance to the wanted shape", "m")

@@ -99,19 +99,21 @@ def rows_of_case(case: Case, rounds: int) -> list[dict[str, object]]:
             found = former(membrane, start, applied)
             seconds.append(time.perf_counter() - begin)
         reference = found.positions if reference is None else reference
-        rows.append({
-            "case": name,
-            "vertices": len(membrane.fixed),
-            "method": method,
-            "seconds": statistics.median(seconds),
-            "iterations": found.iterations,
-            "factorizations": found.factorizations,
-            "residual": found.residual,
-            "found": found.found,
-            "apart, m": float(np.linalg.norm(found.positions - reference, axis=1).max()),
-            "ran": " + ".join(found.ran),
-            "stop": found.stop.value,
-        })  # fmt: skip
+        rows.append(
+            {
+                "case": name,
+                "vertices": len(membrane.fixed),
+                "method": method,
+                "seconds": statistics.median(seconds),
+                "iterations": found.iterations,
+                "factorizations": found.factorizations,
+                "residual": found.residual,
+                "found": found.found,
+                "apart, m": float(np.linalg.norm(found.positions - reference, axis=1).max()),
+                "ran": " + ".join(found.ran),
+                "stop": found.stop.value,
+            }
+        )
     return rows
 
 

@@ -38,6 +38,7 @@ SIDE = 100  # of the largest page
 LARGEST = 10.0  # MB
 PICTURE, CHOSEN = "pavilion", 329  # the scene in page.png, and the vertex whose figures it shows
 DRAWN = "setTimeout(() => requestAnimationFrame(() => requestAnimationFrame(arguments[0])), 50)"  # comes back after a picture
+# a software renderer, since a test machine has no graphics card; root may not use the sandbox
 OPTIONS = """--headless=new --no-sandbox --use-angle=swiftshader --enable-unsafe-swiftshader --disable-dev-shm-usage
 --hide-scrollbars --window-size=1200,720"""
 

@@ -27,6 +27,7 @@ from relax.shell import (
     output_option,
     quiet_option,
     result_argument,
+    result_pictures,
     scene_argument,
     set_option,
     start_of,
@@ -242,11 +243,8 @@ def _finish(design: "Design", folder: Path, read_seconds: float, options: Mappin
     """Write the result, then say what it is; whether Ctrl-C came meanwhile, which does not lose a finished run."""
     with hold_interrupts() as came:
         from relax.files import write_result
-        from relax.plots.page import draw_page
-        from relax.plots.picture import draw_picture
 
-        pictures = {"picture.png": lambda path: draw_picture(design, path), "view.html": lambda path: draw_page(design, path)}
-        write_result(folder, design, read_seconds, pictures)
+        write_result(folder, design, read_seconds, result_pictures(design))
     try:
         if options["as_json"]:
             click.echo((folder / "result.json").read_text(encoding="utf-8"), nl=False)

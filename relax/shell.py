@@ -15,6 +15,8 @@ from click.shell_completion import CompletionItem
 from relax.errors import InputError
 
 if TYPE_CHECKING:
+    from relax.design.solve import Design
+    from relax.files.results import Draw
     from relax.membrane.scene import Scene
 
 DONE, NOT_CONVERGED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
@@ -132,6 +134,14 @@ def start_of(path: Path, scene: "Scene", typed: str | None = None) -> Any:
             "start from a result on the same mesh"
         )
     return stored.positions, stored.forces
+
+
+def result_pictures(design: "Design") -> dict[str, "Draw"]:
+    """What draws the pictures that go into a result folder, by file name."""
+    from relax.plots.page import draw_page
+    from relax.plots.picture import draw_picture
+
+    return {"picture.png": lambda path: draw_picture(design, path), "view.html": lambda path: draw_page(design, path)}
 
 
 @contextmanager

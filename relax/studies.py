@@ -16,6 +16,7 @@ from relax.shell import (
     output_option,
     quiet_option,
     result_argument,
+    result_pictures,
     rows_option,
     scene_argument,
     set_option,
@@ -99,13 +100,10 @@ def _gathered(items: Iterable[Kind], each: Callable[[Kind], None] = lambda _: No
 def _write_path(folder: Path, best: "Design", curve: "TradeOff", index: int, rows: list[dict[str, Any]]) -> None:
     from relax.files.tables import write_path
     from relax.plots.curve import draw_trade_off
-    from relax.plots.page import draw_page
-    from relax.plots.picture import draw_picture
 
     title = best.problem.scene.title
     curves = {"trade-off.png": lambda path: draw_trade_off(curve, path, title, index)}
-    pictures = {"picture.png": lambda path: draw_picture(best, path), "view.html": lambda path: draw_page(best, path)}
-    write_path(folder, rows, best, curves, pictures)
+    write_path(folder, rows, best, curves, result_pictures(best))
 
 
 @click.command(epilog="\b\nExample: relax compare data/tent-noisy.toml")

@@ -8,6 +8,7 @@ import pytest
 from relax.errors import InputError
 
 SIZE = 7
+LIGHT = "[penalty]\nweight = 0.02\n"
 
 
 def bump(size=SIZE):

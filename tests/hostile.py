@@ -511,7 +511,7 @@ def main() -> None:
     import meshio.vtu  # noqa: F401 - what libraries cost to import is no file's fault
 
     import relax.design.solve
-    import relax.files.meshes  # noqa: F401
+    import relax.files.meshes  # noqa: F401 - the same
 
     for index, case in enumerate(json.loads((folder / "cases.json").read_text())):
         answer = _answer(case, (folder / str(index)).read_bytes(), folder, result, limit)

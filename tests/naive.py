@@ -143,14 +143,25 @@ def group_value(quadratic, linear, weights, s):
 def group_lasso(quadratic, linear, weights, rounds=20_000):
     """Minimiser of s G s + 2 b s + sum w |s_g| by proximal gradient, accelerated, starting again when it swings back."""
     pace = 1 / (2 * np.linalg.eigvalsh(quadratic)[-1])
-    s = point = np.zeros((len(weights), 3))
-    t = 1.0
-    for turn in range(rounds):
-        if turn % 250 == 249 and violation(quadratic, linear, weights, s) < 1e-13:
-            break
+
+    def forward(point):
         moved = point - pace * 2 * (quadratic @ point.ravel() + linear).reshape(-1, 3)
         size = np.linalg.norm(moved, axis=1)
-        after = moved * np.maximum(0, 1 - pace * weights / np.maximum(size, 1e-300))[:, None]
+        return moved * np.maximum(0, 1 - pace * weights / np.maximum(size, 1e-300))[:, None]
+
+    def ended(turn, s, _point, _after):
+        return turn % 250 == 249 and violation(quadratic, linear, weights, s) < 1e-13
+
+    return accelerated(forward, np.zeros((len(weights), 3)), ended, rounds)
+
+
+def accelerated(forward, s, ended, rounds):
+    """A fixed point of `forward` from s: Nesterov's momentum, which starts again when it swings back."""
+    point, t = s, 1.0
+    for turn in range(rounds):
+        after = forward(point)
+        if ended(turn, s, point, after):
+            break
         if np.vdot(point - after, after - s) > 0:
             t, point = 1.0, s
             continue
@@ -251,24 +262,21 @@ def step_optimum(step, rounds=20_000):
     quadratic, linear, _ = reduced(step)
     quadratic = quadratic + np.diag(np.repeat(step.bends, step.rows.shape[1]))
     pace = 1 / (2 * np.linalg.eigvalsh(quadratic)[-1])
-    s = point = np.zeros(step.rows.shape)
-    t = 1.0
-    for turn in range(rounds):
-        moved = point - pace * 2 * (quadratic @ point.ravel() + linear).reshape(s.shape)
-        after = np.zeros_like(s)
+
+    def forward(point):
+        moved = point - pace * 2 * (quadratic @ point.ravel() + linear).reshape(point.shape)
+        after = np.zeros_like(point)
         for g, v in enumerate(moved):
             inner = nearest_in_cone(v, step.reach.tangent)
             size = np.linalg.norm(inner)
             if size > pace * step.weights[g]:
                 after[g] = inner / size * min(size - pace * step.weights[g], step.reach.largest)
-        if turn % 50 == 0 and np.abs(after - point).max() < 1e-16 * np.abs(after).max():
-            break
-        if np.vdot(point - after, after - s) > 0:
-            t, point = 1.0, s
-            continue
-        swing = (1 + np.sqrt(1 + 4 * t * t)) / 2
-        point, s, t = after + (t - 1) / swing * (after - s), after, swing
-    return s
+        return after
+
+    def ended(turn, _s, point, after):
+        return turn % 50 == 0 and np.abs(after - point).max() < 1e-16 * np.abs(after).max()
+
+    return accelerated(forward, np.zeros(step.rows.shape), ended, rounds)
 
 
 def step_violation(step, s):

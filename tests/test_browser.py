@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import screenshots
 from PIL import Image
 
 import relax
@@ -24,9 +25,6 @@ ActionChains, By, Keys = webdriver.ActionChains, webdriver.common.by.By, webdriv
 
 DATA = Path(__file__).parent.parent / "data"
 EVIL = "Pavilion </script><img src=x onerror=document.title='harmed'> & a wave"
-# a software renderer, since a test machine has no graphics card; root may not use the sandbox
-OPTIONS = """--headless=new --no-sandbox --use-angle=swiftshader --enable-unsafe-swiftshader --disable-dev-shm-usage
---hide-scrollbars"""
 PLACES = """
 const area = document.getElementById("canvas").getBoundingClientRect();
 return space.struts.named.map(({ support, head, end }) => {
@@ -38,14 +36,8 @@ return space.struts.named.map(({ support, head, end }) => {
 
 @pytest.fixture(scope="module")
 def browser():
-    options = webdriver.ChromeOptions()
-    options.binary_location = CHROMIUM
-    for option in OPTIONS.split():
-        options.add_argument(option)
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
-    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(DRIVER))
-    yield driver
-    driver.quit()
+    with screenshots.browser() as window:
+        yield window
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from folders import bump, write_scene
+from folders import LIGHT, bump, write_scene
 
 import relax.cli
 from relax.cli import run
@@ -23,15 +23,6 @@ from relax.membrane.formers import FORMERS
 from relax.sparsity.penalties import PENALTIES
 
 DATA = Path(__file__).parents[1] / "data"
-QUICK = "[penalty]\nweight = 0.02\n"
-
-
-@pytest.fixture
-def here(tmp_path, monkeypatch):
-    """A folder with hill.toml, which is also the current one."""
-    monkeypatch.chdir(tmp_path)
-    write_scene(tmp_path, QUICK)
-    return tmp_path
 
 
 @pytest.fixture
@@ -82,7 +73,7 @@ def test_options_stand_for_keys(here, capfd):
 
 def test_a_start_folder_typed_here_or_named_in_the_scene(solved, capfd):
     (solved / "deep").mkdir()
-    write_scene(solved / "deep", QUICK)
+    write_scene(solved / "deep", LIGHT)
     assert run(["solve", "deep/hill.toml", "--start", "hill-result", "--json", "--quiet", "-o", "again"]) == 0
     said = json.loads(capfd.readouterr().out)
     assert said["settings"]["solver"]["start"] == os.path.join("..", "hill-result")
@@ -356,7 +347,7 @@ def test_a_full_screen_is_one_sentence(solved):
 
 def test_a_damaged_start_is_named_as_it_was_typed(solved, capfd):
     (solved / "sub").mkdir()
-    write_scene(solved / "sub", QUICK)
+    write_scene(solved / "sub", LIGHT)
     (solved / "hill-result" / "result.npz").unlink()
     assert run(["solve", "sub/hill.toml", "--start", "hill-result"]) == 2
     assert capfd.readouterr().err.startswith("relax: hill-result/result.npz: no such file")

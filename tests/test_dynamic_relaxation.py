@@ -194,10 +194,8 @@ def test_a_slack_membrane_without_load_lies_anywhere():
 
 def test_units_change_nothing():
     scene, applied = loaded()
-    membrane = scene.membrane
-    other = replace(membrane, rest_length=1e3 * membrane.rest_length, spring_constant=1e-6 * membrane.spring_constant)
-    one = relax_dynamically(membrane, scene.start, applied)
-    two = relax_dynamically(other, 1e3 * scene.start, 1e-3 * applied)
+    one = relax_dynamically(scene.membrane, scene.start, applied)
+    two = relax_dynamically(*zoo.rest_in_millimetres(scene.membrane, scene.start, applied))
     assert np.allclose(two.positions, 1e3 * one.positions, atol=1e-6)
     assert two.iterations == pytest.approx(one.iterations, rel=0.1)
 
@@ -207,11 +205,10 @@ def test_units_change_nothing():
 
 @every_law
 def test_a_part_that_lost_its_support(law):
-    loose = Membrane(np.array([[0, 1], [1, 2]]), np.array([0.8, 0.8]), np.ones(2), law, np.zeros(3, dtype=bool))
-    start = np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0]])
-    found = relax_dynamically(loose, start, np.array([[0.0, 0, 1], [0, 0, 0], [0, 0, 0]]))
+    loose, start = zoo.loose(law)
+    found = relax_dynamically(loose, start, zoo.LOST)
     assert not found.found and found.stop is Stop.LOST_SUPPORT
-    held = relax_dynamically(loose, start, np.array([[-0.5, 0, 0], [0, 0, 0], [0.5, 0, 0]]))
+    held = relax_dynamically(loose, start, zoo.BALANCED)
     assert held.found
 
 

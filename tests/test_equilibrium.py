@@ -143,22 +143,15 @@ def test_without_prestress_it_still_hangs(springs, rest_scale):
 # what it says when it is lost
 
 
-def loose(law=SPRINGS["hookean"]):
-    """Three vertices in a row that nothing holds, their two springs stretched."""
-    return Membrane(np.array([[0, 1], [1, 2]]), np.array([0.8, 0.8]), np.ones(2), law, np.zeros(3, dtype=bool))
-
-
 @every_law
 def test_a_part_that_lost_its_support(law):
-    start = np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0]])
-    found = find_equilibrium(loose(law), start, np.array([[0.0, 0, 1], [0, 0, 0], [0, 0, 0]]))
+    found = find_equilibrium(*zoo.loose(law), zoo.LOST)
     assert not found.found
     assert found.stop is Stop.LOST_SUPPORT
 
 
 def test_a_loose_part_under_balanced_forces_needs_no_support():
-    start = np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0]])
-    found = find_equilibrium(loose(), start, np.array([[-0.5, 0, 0], [0, 0, 0], [0.5, 0, 0]]))
+    found = find_equilibrium(*zoo.loose(SPRINGS["hookean"]), zoo.BALANCED)
     assert found.found
     assert np.allclose(np.diff(found.positions[:, 0]), 1.3)
 

@@ -175,21 +175,18 @@ def test_found_is_true_of_balanced_shapes_alone(law, scale, limit):
 
 def test_units_change_nothing():
     scene, applied = loaded()
-    membrane = scene.membrane
-    other = replace(membrane, rest_length=1e3 * membrane.rest_length, spring_constant=1e-6 * membrane.spring_constant)
-    one = find_by_force_density(membrane, scene.start, applied)
-    two = find_by_force_density(other, 1e3 * scene.start, 1e-3 * applied)
+    one = find_by_force_density(scene.membrane, scene.start, applied)
+    two = find_by_force_density(*zoo.rest_in_millimetres(scene.membrane, scene.start, applied))
     assert np.allclose(two.positions, 1e3 * one.positions, atol=1e-6)
     assert abs(two.iterations - one.iterations) <= 2
 
 
 @pytest.mark.parametrize("law", SPRINGS.values(), ids=SPRINGS)
 def test_a_part_that_lost_its_support(law):
-    loose = Membrane(np.array([[0, 1], [1, 2]]), np.array([0.8, 0.8]), np.ones(2), law, np.zeros(3, dtype=bool))
-    start = np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0]])
-    found = find_by_force_density(loose, start, np.array([[0.0, 0, 1], [0, 0, 0], [0, 0, 0]]))
+    loose, start = zoo.loose(law)
+    found = find_by_force_density(loose, start, zoo.LOST)
     assert not found.found and found.stop is Stop.LOST_SUPPORT
-    assert find_by_force_density(loose, start, np.array([[-0.5, 0, 0], [0, 0, 0], [0.5, 0, 0]])).found
+    assert find_by_force_density(loose, start, zoo.BALANCED).found
 
 
 def test_figures_that_are_not_finite():

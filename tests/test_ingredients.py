@@ -1,23 +1,17 @@
 """Switching ingredients off: what does nothing is noticed, units are units, and what was planted is recovered."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 import relax
 
-EXPERIMENTS = Path(__file__).parent.parent / "experiments"
-
 
 @pytest.fixture(scope="module")
 def ingredients():
     """The experiment as a module."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(EXPERIMENTS))
-        import ingredients
+    import ingredients
 
-        yield ingredients
+    return ingredients
 
 
 def test_a_patch_that_nobody_asks_for_is_noticed(ingredients):

@@ -1,17 +1,13 @@
 """What the recovery study plants is what it says, and what it counts is right by hand."""
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-
-import relax
-
-sys.path.insert(0, str(Path(__file__).parent.parent / "experiments"))
 import recovered
 import recovery
+
+import relax
 
 CASE = {"seed": 7, "edges": 10, "masts": 3, "spacing": 3, "noise": 0.02}
 RUN = {"penalty": "power", "exponent": 0.5, "method": "sequential", "level": 500.0}

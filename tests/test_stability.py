@@ -1,7 +1,6 @@
 """The verdict of experiments/stability.py sees what a judge should: it is planted with faults here, one by one."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,9 +14,8 @@ TOLERANCE = 1e-8
 
 
 @pytest.fixture
-def judged(monkeypatch):
+def judged():
     """`judged` of experiments/stress/verdict.py."""
-    monkeypatch.syspath_prepend(Path(__file__).parent.parent / "experiments")
     from stress.verdict import judged
 
     return judged

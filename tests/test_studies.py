@@ -7,23 +7,12 @@ import signal
 
 import numpy as np
 import pytest
-from folders import write_scene
 
 import relax.design.compare
 import relax.design.path
 from relax import screen
 from relax.cli import run
 from relax.files import load_result
-
-LIGHT = "[penalty]\nweight = 0.02\n"
-
-
-@pytest.fixture
-def here(tmp_path, monkeypatch):
-    """A folder with hill.toml, which is also the current one."""
-    monkeypatch.chdir(tmp_path)
-    write_scene(tmp_path, LIGHT)
-    return tmp_path
 
 
 @pytest.fixture

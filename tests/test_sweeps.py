@@ -10,13 +10,12 @@ import time
 from pathlib import Path
 
 import pytest
+import recovered
+import rows_file
 import sweep_runner
+import sweeps
+from recovery import all_cases
 from sweep_runner import COLUMNS, cases, measure
-
-import rows_file  # isort: skip  # found once sweep_runner has named the folder
-import sweeps  # isort: skip
-from recovery import all_cases  # isort: skip
-import recovered  # isort: skip
 
 RUNNER = Path(sweep_runner.__file__)
 ONE = sweeps.Processes()

@@ -302,3 +302,22 @@ def floating(n=7, sigma=None, seed=0, **changes):
     noise = None if sigma is None else {"sigma": sigma, "seed": seed}
     scene = build_scene(settings(supports__fixed="none", target__noise=noise, **changes), mesh, found.positions, flat)
     return Planted(replace(scene, loads=bare.loads), forces, found.positions)
+
+
+def loose(law):
+    """Three vertices in a row that nothing holds, their two springs stretched, and where they are."""
+    membrane = Membrane(np.array([[0, 1], [1, 2]]), np.array([0.8, 0.8]), np.ones(2), law, np.zeros(3, dtype=bool))
+    return membrane, np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0]])
+
+
+LOST, BALANCED = np.array([[0.0, 0, 1], [0, 0, 0], [0, 0, 0]]), np.array([[-0.5, 0, 0], [0, 0, 0], [0.5, 0, 0]])
+
+
+def rest_in_millimetres(membrane, start, applied):
+    """A membrane, where it begins and what is applied, written in millimetres and kilonewtons."""
+    other = replace(membrane, rest_length=1e3 * membrane.rest_length, spring_constant=1e-6 * membrane.spring_constant)
+    return other, 1e3 * start, 1e-3 * applied
+
+
+# what a method meets on the way to planted masts, without noise
+PLANTED = [{}, {"membrane__springs": "force-density"}, {"membrane__loads": [0.0, 0.0, -0.02]}, {"penalty__exponent": 0.8}]

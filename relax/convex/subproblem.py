@@ -237,9 +237,9 @@ def certify(step: Subproblem, amplitudes: Floats, ran: str = "") -> Solution:
     displacement, multiplier, worth = moved - step.offset, step.nothing, 0.0
     if step.resultants is not None:  # whose multiplier is free: the one that leaves least pull where the large forces are
         slopes = np.divide(step.weights, size, out=2 * step.bends, where=size > 0)
-        multiplier = step.resultants.multiplier(dual + slopes[:, None] * amplitudes, size)
+        of_parts = step.resultants.multiplier(dual + slopes[:, None] * amplitudes, size)
+        multiplier, worth = step.resultants.spread(of_parts), float(np.vdot(of_parts, step.resultants.total))
         dual = dual + multiplier
-        worth = step.resultants.worth(multiplier)
     pull = step.reach.pull(dual)
     if step.kept.size:
         moved, pulled = _relieved(step, moved, pulled, size, multiplier)

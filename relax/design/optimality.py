@@ -117,7 +117,7 @@ def _optimality(
             slope = 0.0 * slope
         gradient = dual + (slope / np.where(size > 0, size, 1.0))[:, None] * amplitudes
         if problem.resultants is not None:
-            multiplier = problem.resultants.multiplier(gradient, stands)
+            multiplier = problem.resultants.spread(problem.resultants.multiplier(gradient, stands))
             dual, gradient = dual + multiplier, gradient + multiplier
         scale, standing = problem.slope_scale(amplitudes), amplitudes[stands]
         left = projected_gradient(supports.reach, standing, gradient[stands], problem.step_lengths(standing, scale))

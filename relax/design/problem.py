@@ -190,21 +190,25 @@ class Problem:
         """
         if self.resultants is None:
             return field
-        dual = self.supports.duals(field)
-        multiplier = self.levelled_duals(dual, amplitudes, share) - dual
         levelled = field.copy()
-        for index, vertices in enumerate(self.membrane.floating):
-            levelled[vertices] += multiplier[np.argmax(self.resultants.part == index)]
+        multiplier = self._multiplier(self.supports.duals(field), amplitudes, share)
+        for vertices, vector in zip(self.membrane.floating, multiplier, strict=True):
+            levelled[vertices] += vector
         return levelled
 
-    def levelled_duals(self, dual: Floats, amplitudes: Floats, share: float = 1.0) -> Floats:
-        """The same of the groups' duals (m, c)."""
+    def levelled_duals(self, dual: Floats, amplitudes: Floats) -> Floats:
+        """The same of the groups' duals (m, c), all of R counted."""
         if self.resultants is None:
             return dual
+        return dual + self.resultants.spread(self._multiplier(dual, amplitudes, 1.0))
+
+    def _multiplier(self, dual: Floats, amplitudes: Floats, share: float) -> Floats:
+        """Of the balance of each part without a fixed vertex (q, 3)."""
+        assert self.resultants is not None
         size = sizes(amplitudes)
         slope = share * self.strength * self.supports.weights * self.penalty.slope(size)
         gradient = dual + (slope / np.where(size > 0, size, 1.0))[:, None] * amplitudes
-        return dual + self.resultants.multiplier(gradient, self.standing(amplitudes))
+        return self.resultants.multiplier(gradient, self.standing(amplitudes))
 
     def factor_at(self, positions: Floats) -> Factor:
         """A factorisation of K at `positions`; off the translations of parts without a fixed vertex."""

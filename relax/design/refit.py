@@ -16,7 +16,6 @@ from relax.factor import Factor
 from relax.iterate import Record, Stop, iterate
 from relax.membrane.equilibrium import find_equilibrium, with_last_digits
 from relax.sparsity.faces import face_at, projected_gradient
-from relax.sparsity.resultants import Resultants
 from relax.sparsity.supports import sizes
 
 Progress = Callable[[Record], None]
@@ -93,10 +92,6 @@ class _Refit:
     problem: Problem
     share: float  # 1: E_dist + R, 0: E_dist alone
 
-    @property
-    def keeping(self) -> Resultants | None:
-        return self.problem.resultants
-
     def state(self, shape: Shape, before: float = np.inf) -> _State:
         """Value and gradient at a shape that a step came to from one with the residual `before`."""
         problem, nearby = self.problem, shape.factor
@@ -108,8 +103,9 @@ class _Refit:
         size = sizes(standing)
         slope = self._strength(members) * problem.penalty.slope(size)
         gradient = problem.supports.duals(dual)[members] + (slope / np.where(size > 0, size, 1.0))[:, None] * standing
-        if self.keeping is not None:  # with R dropped the multiplier is another
-            gradient = gradient + self.keeping.of(members).multiplier(gradient, np.ones(len(members), dtype=bool))
+        if problem.resultants is not None:  # with R dropped the multiplier is another
+            keeping = problem.resultants.of(members)
+            gradient = gradient + keeping.spread(keeping.multiplier(gradient, np.ones(len(members))))
         scale = problem.slope_scale(shape.amplitudes)
         left = projected_gradient(problem.supports.reach, standing, gradient, problem.step_lengths(standing, scale))
         residual = float(sizes(left).max(initial=0.0)) / scale
@@ -143,8 +139,8 @@ class _Refit:
         tau = 1 / np.maximum(np.abs(np.diag(whole)).reshape(amplitudes.shape).sum(axis=1), np.finfo(float).tiny)
         face = face_at(self.problem.supports.reach, amplitudes, state.gradient, tau)
         hessian, kept = face.hessian(whole), None
-        if self.keeping is not None:
-            kept = self.keeping.of(state.members).directions
+        if self.problem.resultants is not None:
+            kept = self.problem.resultants.of(state.members).directions
             hessian = kept.T @ hessian @ kept
         values, vectors = np.linalg.eigh(0.5 * (hessian + hessian.T))
         vectors = vectors if kept is None else kept @ vectors

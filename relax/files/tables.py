@@ -3,7 +3,7 @@
 import csv
 import json
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,7 +14,7 @@ from relax.arrays import Floats
 from relax.errors import InputError
 from relax.files.exports import write_field
 from relax.files.folders import check_folder, write_whole
-from relax.files.results import OURS, plain, write_result
+from relax.files.results import OURS, Draw, plain, write_result
 
 if TYPE_CHECKING:
     from relax.design.explain import Explanation
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from relax.membrane.scene import Scene
 
 Row = Mapping[str, Any]
-Draw = Callable[[Path], None]
 BEST = "best"  # a result folder inside a path's
 PATH_FILES = ("path.csv", "path.json", "trade-off.png")
 COMPARE_FILES = ("compare.csv", "compare.json")

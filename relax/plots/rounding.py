@@ -66,8 +66,13 @@ def draw_rounding(design: "Design", path: Path) -> None:
 
 def said_forces(size: Floats, largest: float) -> str:
     """How many forces of magnitudes (V,) there are, and the largest of them."""
-    count = int((size > 10.0**-DECADES * largest).sum())
+    count = count_forces(size, largest)
     return f"{count} force{'s' * (count != 1)}" + (f", up to {newtons(float(size.max()))}" if count else "")
+
+
+def count_forces(size: Floats, largest: float) -> int:
+    """How many forces of magnitudes (V,) are drawn."""
+    return int((size > 10.0**-DECADES * largest).sum())
 
 
 def dots(size: Floats, largest: float) -> Callable[[Axes, View], None]:

@@ -64,7 +64,7 @@ class Resultants:
         return repaired if self.met(repaired) else None
 
     def multiplier(self, gradient: Floats, counts: Floats | Mask) -> Floats:
-        """Of each group's condition (m, 3), from a gradient (m, 3): minus its mean over the part, each group as it counts (m,).
+        """Of each part's condition (q, 3), from a gradient (m, 3): minus its mean over the part, each group as it counts (m,).
 
         Along forces that keep their sums the gradient is only known up to a vector a part; where they are stationary this one
         makes it vanish on all that stand.
@@ -74,13 +74,8 @@ class Resultants:
         total, whole = np.zeros_like(self.total), np.zeros(len(self.total))
         np.add.at(total, self.part[chosen], weight[:, None] * gradient[chosen])
         np.add.at(whole, self.part[chosen], weight)
-        return self.spread(-total / np.where(whole > 0, whole, 1.0)[:, None])
-
-    def worth(self, multiplier: Floats) -> float:
-        """The product with t of a multiplier as `multiplier` gives it (m, 3)."""
-        parts, first = np.unique(self.part, return_index=True)
-        held = parts >= 0
-        return float(np.vdot(multiplier[first[held]], self.total[parts[held]]))
+        minus_mean: Floats = -total / np.where(whole > 0, whole, 1.0)[:, None]
+        return minus_mean
 
     def spread(self, vectors: Floats) -> Floats:
         """A vector of each part (q, 3), at its groups (m, 3); zero at the others."""

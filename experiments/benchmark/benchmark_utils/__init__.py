@@ -24,7 +24,7 @@ if str(EXPERIMENTS) not in sys.path:
     sys.path.append(str(EXPERIMENTS))  # benchopt loads each file by its path: the scenes and peers of the experiments are there
 
 from peers import MANY, pruned  # noqa: E402 - found by the line above
-from price import planted  # noqa: E402
+from price import planted  # noqa: E402 - the same
 
 WARM = 8  # vertices a side of the membrane on which a solver warms up: imports and what is compiled once
 

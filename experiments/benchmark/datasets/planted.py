@@ -3,7 +3,7 @@
 from benchmark_utils import EXPERIMENTS  # noqa: F401 - puts the experiments on the path
 from benchopt import BaseDataset
 
-from ablation import Kind, planted  # isort: skip
+from ablation import Kind, planted  # isort: skip  # found by what benchmark_utils puts on the path
 
 
 class Dataset(BaseDataset):

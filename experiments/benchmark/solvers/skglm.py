@@ -9,7 +9,7 @@ from skglm.datafits.group import QuadraticGroup
 from skglm.penalties import WeightedGroupL2
 from skglm.solvers import GroupBCD
 
-from ablation import Kind, planted  # isort: skip
+from ablation import Kind, planted  # isort: skip  # found by what benchmark_utils puts on the path
 
 GIGABYTE = 2**30  # of design matrix, at most
 DIGITS = 12

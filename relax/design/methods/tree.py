@@ -99,9 +99,16 @@ class _Master:
             self.binary.append(row)
         handler = _handler(scip, self)
         self.model.includeConshdlr(
-            handler, "relaxation", "cuts of the relaxation", sepapriority=1, enfopriority=-1, chckpriority=-1, sepafreq=1,
-            eagerfreq=-1, needscons=False,
-        )  # fmt: skip
+            handler,
+            "relaxation",
+            "cuts of the relaxation",
+            sepapriority=1,
+            enfopriority=-1,
+            chckpriority=-1,
+            sepafreq=1,
+            eagerfreq=-1,
+            needscons=False,
+        )
 
     def add(self, cut: Cut) -> None:
         """A row for a cut, less high where it is above what matters: lowering a coefficient keeps a cut valid."""
