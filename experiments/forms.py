@@ -7,9 +7,9 @@ Question: which family of form-finding brings a membrane to rest, at what cost, 
 
 The scenes of data/ under the supports that relax finds, from flat; five planted masts (price.py) as the mesh grows and as the
 prestress falls (`rest` is rest length over flat length); and starts and membranes that are no friend of Newton's: slack, without
-prestress, 20 m off, folded at random, 20 x 20 vertices. `iterations` are Newton steps, explicit steps and linear solves in turn,
-with those of all that `ran`: where Newton is lost, dynamic relaxation takes over. `apart` is the largest distance from where
-Newton came to rest, in metres: slack and pushing membranes rest in more than one shape.
+prestress, 20 m off, folded at random, 20 x 20 vertices. `iterations` are Newton and chord steps, explicit steps, and linear
+solves, with those of all that `ran`: where Newton is lost, dynamic relaxation takes over. `apart` is the largest distance from
+where Newton came to rest, in metres: slack and pushing membranes rest in more than one shape.
 
 Finding: where every edge pulls, the three end at one shape, to 3e-10 of its size. Newton takes 9 to 12 steps; force density is as
 fast (0.7 to 2.6 times as long), 20 linear solves with 30 % of strain, 40 with 10 %, 90 with 2 %, whatever the mesh; dynamic

@@ -54,9 +54,9 @@ from relax.convex.subproblem import Subproblem
 from relax.design.compare import penalties_for
 from relax.design.methods.sequential import STEPS, Sequential
 from relax.design.problem import Problem
-from relax.design.refit import Shape, rest
 from relax.design.rounding import round_supports
 from relax.design.search import Search
+from relax.design.shape import Shape, rest
 from relax.iterate import iterate
 from relax.sparsity.supports import sizes
 
@@ -185,11 +185,10 @@ def all_candidates() -> AbstractContextManager[Any]:
 def each_from_flat() -> AbstractContextManager[Any]:
     """Each shape found from flat, in place of where the last factorisation predicts it."""
 
-    def anew(problem: relax.Problem, shape: Shape, displacement: np.ndarray, amplitudes: np.ndarray) -> Shape | None:
-        del displacement
-        return rest(problem, replace(shape, positions=problem.scene.start, amplitudes=amplitudes, factor=None))
+    def anew(problem: relax.Problem, guess: Shape, hopeless: Any = None) -> Shape | None:
+        return rest(problem, replace(guess, positions=problem.scene.start, factor=None), hopeless)
 
-    return patch("relax.design.refit.displaced", autospec=True, side_effect=anew)
+    return patch("relax.design.shape.rest", autospec=True, side_effect=anew)
 
 
 def every_step() -> AbstractContextManager[Any]:

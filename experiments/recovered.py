@@ -14,7 +14,8 @@ from scipy.optimize import linear_sum_assignment
 import relax
 from relax.arrays import Floats, Ints
 from relax.design.methods import method_by_name
-from relax.design.refit import Shape, refit
+from relax.design.refit import refit
+from relax.design.shape import Shape
 from relax.errors import RelaxError
 from relax.files.schema import resolve
 

@@ -27,6 +27,7 @@ class Stop(Enum):
     MECHANISM = "no equilibrium was found: a part can move without stretching (a mechanism); add prestress or fix vertices"
     COLLAPSED = "no equilibrium was found: edges shrink to a point under the prescribed tensions, no net carries them all"
     LOST_SUPPORT = "no equilibrium was found: the membrane moves away without bound; a part of it lost its support"
+    HOPELESS = "broken off: where this leads is not wanted"
     UNSTABLE = "equilibrium was found, but it does not stand: the membrane would leave it at the slightest push"
 
 

@@ -83,4 +83,4 @@ def test_what_is_unbalanced_does_not_hide_in_the_gradient():
     design = solve(Problem(case.scene))
     again = form(Problem(case.scene), design.forces)
     assert np.abs(again.positions - design.positions).max() < 4 * EPS
-    assert again.certificate.stationarity < 1e-11
+    assert again.certificate.stationarity < 1e-10

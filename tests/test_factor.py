@@ -257,6 +257,14 @@ def test_refinement_solves_a_matrix_nearby_and_says_when_it_is_too_far(engine, s
     near = dense + 5e-4 * np.abs(np.linalg.eigvalsh(dense)).min() * spectrum(seed, rng.uniform(-1, 1, len(dense)))
     assert np.allclose(factor.refine(csc_array(near), right), np.linalg.solve(near, right), rtol=1e-9, atol=1e-11)
     assert factor.refine(csc_array(3 * dense), right) is None
+    begun, answer, solves = [], np.linalg.solve(near, right), []
+    for start in (None, answer * (1 + 1e-9), np.zeros_like(right)):
+        solves.clear()
+        counted = Factor(factor.matrix, factor.symbolic)
+        counted.solve = lambda given, own=counted: (solves.append(1), Factor.solve(own, given))[1]
+        assert np.allclose(counted.refine(csc_array(near), right, start), answer, rtol=1e-9, atol=1e-11)
+        begun.append(len(solves))
+    assert begun[1] < begun[0] == begun[2]  # what is known already costs no solve
 
 
 def test_a_singular_matrix_refines_nothing():

@@ -19,7 +19,8 @@ from relax.design.mast_values import mast_values
 from relax.design.optimality import judge
 from relax.design.path import largest_weight, path
 from relax.design.problem import Problem
-from relax.design.refit import Shape, refit, rest, with_dual
+from relax.design.refit import refit
+from relax.design.shape import Shape, rest, with_dual
 from relax.design.solve import solve
 from relax.errors import EquilibriumError, InputError
 from relax.membrane.formers import FORMERS

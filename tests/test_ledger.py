@@ -1,5 +1,6 @@
 """What a design says it skipped is true, has its count, and is not said where it did not happen."""
 
+import re
 from dataclasses import replace
 from unittest.mock import patch
 
@@ -12,6 +13,7 @@ from relax.design.rounding import round_supports
 from relax.design.solve import solve
 from relax.factor import Factor, ScalarFactor
 from relax.factor.symbolic import find_engine
+from relax.membrane.chords import Chords
 from relax.membrane.membrane import Membrane
 
 LINEAR = {"membrane__springs": "force-density"}
@@ -76,7 +78,7 @@ def test_reused_factorisations_are_counted_from_the_steps():
     reused, compared = (int(word) for word in said.split() if word.isdigit())
     assert 0 < reused <= compared == design.iterations
     with (
-        patch("relax.membrane.equilibrium._pays", lambda residual, before: False),
+        patch.object(Chords, "pay", lambda *_: False),
         patch.object(Factor, "refine", lambda *_: None),
     ):
         assert skipped(noisy(), "a factorisation in") is None
@@ -86,6 +88,13 @@ def test_columns_are_said_to_be_kept_only_where_they_are():
     assert "of the Newton steps" in skipped(zoo.planted(9, zoo.TWO_MASTS, penalty__weight=1e-4).scene, "columns and curvature")
     with patch("relax.design.refit.FAST", 0.0):
         assert skipped(zoo.planted(9, zoo.TWO_MASTS, penalty__weight=1e-4).scene, "columns and curvature") is None
+
+
+def test_trials_are_said_to_be_broken_off_only_where_they_are():
+    broken = zoo.grid_scene(13, zoo.bumps, penalty__weight=1e-2)
+    assert re.fullmatch(r"the rest of (one trial|\d+ trials): broken off, .*", skipped(broken, "broken off"))
+    with patch("relax.design.trial.lies_above", lambda *_: False):
+        assert skipped(broken, "broken off") is None
 
 
 def test_pivots_are_proven_only_where_every_edge_is_taut():

@@ -9,7 +9,7 @@ from test_refit import problem_of, slope_of, start
 
 from relax.design.model import empty_model
 from relax.design.problem import Problem
-from relax.design.refit import rest
+from relax.design.shape import rest
 
 SCENES = ["hookean", "loads", "force density", "tension-only", "cables", "alpha 0.8"]
 STANDING = {6: (0.02, 0.0, 0.25), 12: (0.05, -0.03, 0.3)}

@@ -13,7 +13,7 @@ from relax.cli import run
 from relax.design.optimality import judge
 from relax.design.parts import PartJournal, assembled, split
 from relax.design.problem import Problem
-from relax.design.refit import Shape
+from relax.design.shape import Shape
 from relax.design.solve import solve
 from relax.errors import BackendError, EquilibriumError
 from relax.files import load_result, write_result

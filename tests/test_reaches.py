@@ -10,7 +10,8 @@ from scipy.optimize import minimize
 
 from relax.design.optimality import judge
 from relax.design.problem import Problem
-from relax.design.refit import Shape, refit, rest
+from relax.design.refit import refit
+from relax.design.shape import Shape, rest
 from relax.design.solve import solve
 from relax.files import load_scene
 from relax.sparsity.reach import reach_of

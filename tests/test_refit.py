@@ -7,7 +7,8 @@ import zoo
 
 from relax.design.optimality import judge
 from relax.design.problem import Problem
-from relax.design.refit import Shape, refit, rest
+from relax.design.refit import refit
+from relax.design.shape import Shape, rest
 from relax.errors import EquilibriumError
 from relax.membrane.equilibrium import find_equilibrium
 from relax.sparsity.supports import sizes

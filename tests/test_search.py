@@ -11,12 +11,13 @@ from test_reweighted import LogSum
 from test_solve import FIVE
 
 from relax.convex.backends import clarabel
-from relax.design import search
+from relax.design import search, trial
 from relax.design.landscape import Landscape
 from relax.design.problem import Problem
-from relax.design.refit import Shape, refit
+from relax.design.refit import refit
 from relax.design.rounding import round_supports
 from relax.design.search import Search
+from relax.design.shape import Shape, loaded
 from relax.design.solve import solve
 from relax.design.starts import at_target, pulled, unsupported
 from relax.iterate import Stop, iterate
@@ -51,6 +52,24 @@ def vertices(problem, shape):
 
 def unbalanced(problem, shape):
     return problem.membrane.forces(shape.positions) + problem.supports.forces(shape.amplitudes) + problem.loads
+
+
+def test_a_trial_that_is_broken_off_would_not_have_paid(monkeypatch):
+    """Each of them brought to rest after all, on every scene and on larger ones: none has an objective that counts."""
+    ended = []
+
+    def both(problem, shape, amplitudes, below):
+        moved, broken = trial.tried(problem, shape, amplitudes, below)
+        if broken:
+            whole = loaded(problem, shape, amplitudes)
+            ended.append(np.inf if whole is None else problem.objective(whole.positions, whole.amplitudes) / below)
+        return moved, broken
+
+    monkeypatch.setattr(search, "tried", both)
+    larger = [zoo.grid_scene(n, zoo.bumps, penalty__weight=weight) for n in (13, 17) for weight in (3e-3, 1e-2, 3e-2)]
+    for scene in [*(make() for make in SCENES.values()), *larger]:
+        solve(Problem(scene))
+    assert len(ended) > 10 and min(ended) >= 1
 
 
 @pytest.mark.parametrize("springs", ["hookean", "tension-only", "force-density"])
@@ -260,7 +279,7 @@ def test_peaks_and_neighbours_are_those_of_the_mesh(name):
 
 def test_a_model_that_promises_what_is_not_so_ends_the_search_with_the_reason(monkeypatch):
     problem = Problem(SCENES["bumps"]())
-    monkeypatch.setattr(search, "loaded", lambda *_: None)
+    monkeypatch.setattr(trial, "loaded", lambda *_: None)
     bare = unsupported(problem)
     method = Search(problem)
     state = method.step(method.begin(bare))
@@ -276,14 +295,14 @@ def stages(design):
 def test_where_nothing_comes_of_the_pulled_start_the_heavy_ones_are_taken(monkeypatch):
     planted = zoo.planted(9, zoo.TWO_MASTS, sigma=0.01, penalty__weight=5e-3)
     assert stages(solve(Problem(planted.scene))) == {"start pulled"}
-    real = search.loaded
+    real = trial.loaded
 
     def refused(*asked):
         """No rest for what is proposed from the dense shape."""
         return None if dense and dense.pop() else real(*asked)
 
     dense = [True]
-    monkeypatch.setattr(search, "loaded", refused)
+    monkeypatch.setattr(trial, "loaded", refused)
     design = solve(Problem(planted.scene))
     assert {"start pulled", "start heavy 0.5"} <= stages(design)
     monkeypatch.undo()

@@ -189,7 +189,7 @@ def test_a_start_by_name_is_taken(start, named):
 
 
 def test_the_best_of_several_starts_is_the_answer():
-    scene = zoo.grid_scene(9, zoo.bumps, penalty__weight=1e-2, solver__start="heavy")
+    scene = zoo.grid_scene(9, zoo.bumps, penalty__weight=1.5e-2, solver__start="heavy")
     design = solve(Problem(scene))
     kinds = {note.split(",")[0].split(":")[0] for note in design.trace.notes}
     assert kinds == {"start heavy 0.5", "start heavy 0.1", "start heavy 0.005"}

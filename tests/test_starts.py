@@ -12,6 +12,7 @@ from relax.design.solve import solve
 from relax.design.starts import (
     HEAVY,
     PULLS,
+    TILT,
     at_target,
     choose_starts,
     given,
@@ -267,6 +268,19 @@ def test_a_stronger_pull_that_would_not_stand_gives_way_to_a_weaker(monkeypatch)
     assert np.linalg.norm(matrix @ moved - right) <= 1e-12 * np.linalg.norm(right)
     monkeypatch.setattr(Problem, "factor_at", lambda *_: Fallen())
     assert pulled(problem) is None
+
+
+@pytest.mark.parametrize(("n", "sigma"), [(21, 0.0), (21, 0.01), (21, 0.04), (41, 0.02)])
+def test_the_noisier_the_target_the_weaker_the_pull(n, sigma):
+    """An eighth, and no more than 0.05 of an edge over the noise, which the target alone tells to a tenth."""
+    problem = Problem(zoo.planted(n, zoo.TWO_MASTS, sigma=sigma or None).scene)
+    edge = np.linalg.norm(problem.membrane.edge_vectors(problem.scene.start), axis=1).mean()
+    assert problem.roughness == pytest.approx(sigma / edge, rel=0.1, abs=0.02)
+    share = min(PULLS[0], TILT / problem.roughness)
+    assert (share < PULLS[0]) == (sigma > 0.5 * edge)
+    matrix, right = stiff_and_pull(problem, share)
+    moved = (pulled(problem).positions - problem.scene.start)[problem.membrane.free].ravel()
+    assert np.linalg.norm(matrix @ moved - right) <= 1e-12 * np.linalg.norm(right)
 
 
 def test_a_slack_membrane_is_not_pulled():

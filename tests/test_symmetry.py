@@ -9,8 +9,8 @@ import zoo
 
 from relax.design import race
 from relax.design.problem import Problem
-from relax.design.refit import Shape
 from relax.design.search import Search
+from relax.design.shape import Shape
 from relax.design.solve import solve
 from relax.design.symmetric import symmetric_problem
 from relax.files.scenes import load_scene
@@ -410,3 +410,9 @@ def lifted(n):
     _, target = zoo.grid(n)
     target[:, 2] = zoo.hill(*target.T[:2])
     return target
+
+
+@pytest.mark.parametrize("n", [7, 9, 13])
+def test_the_noise_of_a_target_is_that_of_the_whole(n):
+    problem = Problem(zoo.grid_scene(n, lambda x, y: 5 * zoo.hill(x, y)))
+    assert symmetric_problem(problem).roughness == problem.roughness

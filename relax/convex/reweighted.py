@@ -164,9 +164,12 @@ class Reweighted:
         return index
 
     def _matrix(self, members: Ints, curvature: Floats) -> Floats:
-        index = self._index(members)
-        matrix = self.quadratic[np.ix_(index, index)]
-        matrix[np.diag_indices_from(matrix)] += np.repeat(curvature, self.linear.shape[1])
+        if len(members) == len(self.costs):
+            matrix = self.quadratic.copy()
+        else:
+            index = self._index(members)
+            matrix = self.quadratic.take(index, axis=0).take(index, axis=1)
+        np.einsum("ii->i", matrix)[:] += np.repeat(curvature, self.linear.shape[1])  # a view of the diagonal
         return matrix
 
     def _fit(self, members: Ints, curvature: Floats, start: Floats | None = None) -> Floats:

@@ -17,8 +17,8 @@ from relax.convex.subproblem import Solution, Subproblem
 from relax.design.methods import METHODS, method_by_name
 from relax.design.optimality import Certificate, judge
 from relax.design.problem import Problem
-from relax.design.refit import Shape
 from relax.design.rounding import round_supports
+from relax.design.shape import Shape
 from relax.design.solve import Design, solve
 from relax.design.starts import choose_starts, resolve_weight
 from relax.design.trace import Callback

@@ -12,7 +12,8 @@ from relax.design.mast_values import Heard, on_vertices, pull_at, shape_at
 from relax.design.model import model_at
 from relax.design.optimality import Certificate, judge
 from relax.design.problem import Problem
-from relax.design.refit import Shape, refit
+from relax.design.refit import refit
+from relax.design.shape import Shape
 from relax.errors import EquilibriumError
 from relax.factor import Factor
 from relax.sparsity.supports import sizes

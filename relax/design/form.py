@@ -9,7 +9,7 @@ from threadpoolctl import threadpool_limits
 from relax.arrays import Floats
 from relax.design.problem import Problem
 from relax.design.race import Outcome, last_refit
-from relax.design.refit import Shape
+from relax.design.shape import Shape
 from relax.design.solve import Design, as_design
 from relax.design.starts import resolve_weight
 from relax.design.trace import Callback, Journal

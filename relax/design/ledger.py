@@ -15,7 +15,7 @@ def sentences(problem: Problem, journal: Journal, factorizations: int) -> tuple[
         found.append("all factorisations of K but one: it is the same at every shape, and x, y and z share a scalar one")
     else:
         found += [_factorisations(journal.tally), _analysis(journal.tally, factorizations)]
-    found.append(_columns(journal.tally))
+    found += [_columns(journal.tally), _trials(journal.tally)]
     return tuple(dict.fromkeys(filter(None, found)))
 
 
@@ -45,6 +45,13 @@ def _analysis(tally: Tally, factorizations: int) -> str:
         return ""
     of = "mesh" if tally.patterns == 1 else "part"
     return f"the analysis of the sparsity pattern: once a {of}, for {factorizations} factorisations"
+
+
+def _trials(tally: Tally) -> str:
+    if not tally.broken:
+        return ""
+    trials = "one trial" if tally.broken == 1 else f"{tally.broken} trials"
+    return f"the rest of {trials}: broken off, the objective lay above what pays and hardly moved"
 
 
 def _columns(tally: Tally) -> str:

@@ -7,7 +7,7 @@ import numpy as np
 
 from relax.arrays import Floats, Ints, lock_arrays
 from relax.design.problem import Problem
-from relax.design.refit import Shape, with_dual
+from relax.design.shape import Shape, with_dual
 from relax.errors import InputError
 from relax.factor import Factor
 from relax.sparsity.supports import sizes

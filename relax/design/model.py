@@ -14,7 +14,7 @@ from scipy.sparse import csc_array
 from relax.arrays import Floats, Ints
 from relax.convex.reweighted import Reweighted
 from relax.design.problem import Problem
-from relax.design.refit import Shape, with_dual
+from relax.design.shape import Shape, with_dual
 from relax.factor import Factor
 
 

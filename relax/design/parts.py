@@ -11,7 +11,7 @@ import numpy as np
 
 from relax.arrays import Floats, Ints
 from relax.design.problem import Problem
-from relax.design.refit import Shape, figures
+from relax.design.shape import Shape, figures
 from relax.design.trace import Journal, Tally
 from relax.iterate import Record
 
@@ -64,7 +64,7 @@ def counted(problem: Problem, parts: Sequence[Part], tallies: Sequence[Tally]) -
     looked = np.zeros(len(problem.supports.vertices), dtype=bool)
     for part, tally in zip(parts, tallies, strict=False):
         looked[part.candidates] = tally.looked
-    sums = (sum(getattr(tally, name) for tally in tallies) for name in ("reused", "compared", "kept", "patterns"))
+    sums = (sum(getattr(tally, name) for tally in tallies) for name in ("reused", "compared", "kept", "broken", "patterns"))
     return Tally(looked, *sums)
 
 

@@ -16,6 +16,7 @@ from relax.errors import InputError
 from relax.factor import Factor, FloatingFactor, Translations, translations
 from relax.membrane.membrane import Membrane
 from relax.membrane.scene import Scene
+from relax.membrane.target import noise_level
 from relax.sparsity.penalties import Penalty, make_penalty
 from relax.sparsity.reach import reach_of
 from relax.sparsity.resultants import Resultants
@@ -103,6 +104,12 @@ class Problem:
         rows = bsr_array((blocks, np.arange(count), np.arange(count + 1)), shape=(3 * count, 3 * count)).tocsr()
         rows.eliminate_zeros()
         return csc_array(rows)
+
+    @cached_property
+    def roughness(self) -> float:
+        """What the target shows of noise, in mean edge lengths of the start."""
+        edge = np.linalg.norm(self.membrane.edge_vectors(self.scene.start), axis=1).mean()
+        return noise_level(self.scene.target, self.scene.mesh.edges, self.membrane.free) / float(edge)
 
     @cached_property
     def size(self) -> float:

@@ -9,8 +9,9 @@ from relax.design.methods import Method
 from relax.design.methods.sequential import Sequential
 from relax.design.optimality import EQUILIBRIUM, Certificate, judge
 from relax.design.problem import Problem
-from relax.design.refit import Shape, refit, to_the_last_digits
+from relax.design.refit import refit
 from relax.design.search import Search
+from relax.design.shape import Shape, to_the_last_digits
 from relax.design.starts import Start, at_target, choose_starts, heavy_starts, is_planted
 from relax.design.symmetric import SymmetricProblem, symmetric_problem
 from relax.design.trace import Journal

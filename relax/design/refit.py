@@ -4,17 +4,17 @@ Where K is invertible, positions are a function of the support forces through eq
 c k numbers are unknown (MATHEMATICS.md, "Reduced form"). What a support can do is kept on the way (sparsity/faces.py).
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from relax.arrays import Floats, Ints
 from relax.design.problem import Problem
+from relax.design.shape import Shape, displaced, figures, rest, to_the_last_digits, with_dual
 from relax.errors import EquilibriumError
 from relax.factor import Factor
 from relax.iterate import Record, Stop, iterate
-from relax.membrane.equilibrium import find_equilibrium, with_last_digits
 from relax.sparsity.faces import face_at, projected_gradient
 from relax.sparsity.supports import sizes
 
@@ -31,34 +31,6 @@ FAST = 0.01  # a step that shrinks the gradient at least this much needs no new 
 PATIENCE = (
     10  # steps in a row without a gain: the way ends at a shape that would not stand; off a saddle falls of 1e-10 quadruple
 )
-REST_LIMIT = 20  # Newton steps to a nearby equilibrium; one that takes more is not near, and a shorter step is cheaper
-
-
-@dataclass(frozen=True)
-class Shape:
-    """A membrane at rest under support forces.
-
-    Parameters
-    ----------
-    positions : (V, 3) metres
-    amplitudes : (m, c) newtons
-        Of all candidates; zero where nothing stands.
-    factor : Factor or None
-        Of K at or near the positions, where one is at hand.
-    factorizations : int
-        Spent so far.
-    """
-
-    positions: Floats
-    amplitudes: Floats
-    factor: Factor | None
-    factorizations: int
-
-    def with_factor(self, factor: Factor) -> "Shape":
-        """The same shape with a factorisation of its own, counted unless it is the one at hand (linear membranes have one)."""
-        if factor is self.factor:
-            return self
-        return replace(self, factor=factor, factorizations=self.factorizations + 1)
 
 
 @dataclass(frozen=True)
@@ -214,70 +186,6 @@ def penalty_hessian(problem: Problem, members: Ints, amplitudes: Floats) -> Floa
     index = np.arange(count)
     whole[index, :, index, :] = blocks
     return whole.reshape(width * count, -1)
-
-
-def with_dual(problem: Problem, shape: Shape) -> tuple[Shape, Factor, Floats]:
-    """The shape with a factorisation of K at or near it, and the exact dual lam = 2 K^-1 M (x - xhat) there, (n, 3).
-
-    A factorisation from nearby serves as long as iterative refinement reaches the last digits with it; else K is factorised.
-    """
-    right = 2 * (problem.metric @ problem.offset(shape.positions).ravel())
-    if shape.factor is not None:
-        dual = shape.factor.refine(problem.membrane.stiffness(shape.positions), right)
-        if dual is not None:
-            return shape, shape.factor, problem.levelled(dual.reshape(-1, 3), shape.amplitudes)
-    factor = problem.factor_at(shape.positions)
-    shape = shape.with_factor(factor)
-    return shape, factor, problem.levelled(factor.solve(right).reshape(-1, 3), shape.amplitudes)
-
-
-def rest(problem: Problem, guess: Shape) -> Shape | None:
-    """The equilibrium under the guess's forces, from its positions, by chord steps on its factor first; None if none is found.
-
-    Where a part has no fixed vertex its forces are made to add up first, and it comes to lie where E_dist is least.
-    """
-    amplitudes = problem.balanced(guess.amplitudes)
-    if amplitudes is None:
-        return None
-    applied = problem.supports.forces(amplitudes) + problem.loads
-    found = find_equilibrium(problem.membrane, guess.positions, applied, guess.factor, REST_LIMIT)
-    if not found.found:
-        return None
-    factor = guess.factor if found.factor is None else problem.floating(found.factor)
-    return Shape(problem.placed(found.positions), amplitudes, factor, guess.factorizations + found.factorizations)
-
-
-def to_the_last_digits(problem: Problem, shape: Shape) -> Shape:
-    """The same shape, its positions at rest to round-off where it has a factorisation nearby."""
-    if shape.factor is None or shape.factor.singular:
-        return shape
-    applied = problem.supports.forces(shape.amplitudes) + problem.loads
-    return replace(shape, positions=with_last_digits(problem.membrane, shape.positions, applied, shape.factor))
-
-
-def displaced(problem: Problem, shape: Shape, displacement: Floats, amplitudes: Floats) -> Shape | None:
-    """The shape at rest under other amplitudes (m, c), started a displacement (3n,) from here; None if it finds none."""
-    guess = shape.positions.copy()
-    guess[problem.membrane.free] += displacement.reshape(-1, 3)
-    return rest(problem, replace(shape, positions=guess, amplitudes=amplitudes))
-
-
-def loaded(problem: Problem, shape: Shape, amplitudes: Floats) -> Shape | None:
-    """The shape at rest under other amplitudes (m, c), started where its own factor predicts it; None if it finds none."""
-    assert shape.factor is not None
-    shift = shape.factor.solve(problem.supports.forces(amplitudes - shape.amplitudes))
-    return displaced(problem, shape, shift, amplitudes)
-
-
-def figures(problem: Problem, shape: Shape, note: str, looked: Iterable[int]) -> dict[str, object]:
-    """What the trace keeps of a shape; `looked`: candidates whose columns of K^-1 were made."""
-    return {
-        "objective": problem.objective(shape.positions, shape.amplitudes),
-        "supports": int(problem.standing(shape.amplitudes).sum()),
-        "note": note,
-        "shape": shape,
-        "looked": looked,
-    }
 
 
 def stationary_dual(problem: Problem, shape: Shape) -> tuple[Shape, Floats, float]:

@@ -10,7 +10,8 @@ import numpy as np
 
 from relax.arrays import Floats, Mask
 from relax.design.problem import Problem
-from relax.design.refit import Progress, Shape, refit, stationary_dual
+from relax.design.refit import Progress, refit, stationary_dual
+from relax.design.shape import Shape
 from relax.sparsity.supports import sizes
 
 LIMIT = 50

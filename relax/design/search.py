@@ -16,7 +16,9 @@ from relax.convex.reweighted import GRADUAL
 from relax.design.landscape import Landscape
 from relax.design.model import Model, empty_model, model_on_supports
 from relax.design.problem import Problem
-from relax.design.refit import Shape, figures, loaded, penalty_hessian
+from relax.design.refit import penalty_hessian
+from relax.design.shape import Shape, figures
+from relax.design.trial import tried
 from relax.iterate import Stop
 from relax.sparsity.supports import sizes
 from relax.sparsity.surrogates import Continuation
@@ -51,6 +53,7 @@ class State:
     stop: Stop | None = None
     failure: str = ""  # why nothing was gained though the model promised it
     looked: frozenset[int] = frozenset()  # candidates that were members of a model, so far
+    broken: int = 0  # trials of the last step that were broken off
 
 
 @dataclass(frozen=True)
@@ -79,7 +82,7 @@ class Search:
         if np.isinf(state.objective):
             shape, model = self._first_model(state.shape)
             few = model.small.pruned(model.small.continued(self.continuation))
-            moved = self._tried(replace(state, shape=shape), model, [few])
+            moved = self._tried(replace(state, shape=shape, broken=0), model, [few])
             # a weight so light that forces everywhere pay: few would be worse than what is there, if that stands
             own = self.problem.objective(shape.positions, shape.amplitudes)
             if moved.stop or moved.objective < own or not model.factor.positive_definite:
@@ -90,7 +93,7 @@ class Search:
         starts = [here, self._shifted(here, slides)]
         proposals = [small.pruned(small.continued(self.continuation)), *(small.pruned(start[model.members]) for start in starts)]
         proposals.append(np.zeros_like(proposals[0]))  # nothing at all: each may pay beside the others, and together not
-        moved = self._tried(replace(state, shape=shape), model, proposals)
+        moved = self._tried(replace(state, shape=shape, broken=0), model, proposals)
         return moved if moved.stop is None else self._rearranged(moved, model, slides)
 
     def confirms(self, shape: Shape, one_by_one: Ints) -> bool:
@@ -124,7 +127,7 @@ class Search:
         starts = [self._shifted(here, move)[model.members] for move in moves]
         likely = sorted([model.small.once(start) for start in starts], key=model.value)[:REARRANGED]
         moved = self._tried(state, model, [model.small.pruned(start) for start in likely], REARRANGED_PAYS)
-        return moved if moved.stop is None else replace(state, shape=moved.shape, looked=moved.looked)
+        return moved if moved.stop is None else replace(state, shape=moved.shape, looked=moved.looked, broken=moved.broken)
 
     def _shifted(self, amplitudes: Floats, moves: Ints) -> Floats:
         """Amplitudes (m, c) with the forces at moves[:, 0] added to those at moves[:, 1]."""
@@ -136,22 +139,25 @@ class Search:
     def _tried(self, state: State, model: Model, proposals: list[Floats], promise: float = GAIN) -> State:
         """The state after the best proposal that pays in truth, or the same at its end; `promise`: what is asked of a model."""
         shape, note = state.shape, f"model of {len(model.members)} candidates"
-        failure, looked = "", state.looked.union(model.members)
+        failure, looked, broken = "", state.looked.union(model.members), state.broken
         # E_dist + R is never negative: where the model says so it was left behind, the farther the less it is believed
         likely = sorted(proposals, key=lambda proposal: (model.value(proposal) < 0, abs(model.value(proposal))))
         for proposal in likely[:PROPOSALS]:
             if model.value(proposal) >= (1 - promise) * state.objective:
                 break
             failure = "nothing that the model proposed lowers the objective in truth"
-            moved = self._moved(shape, model, proposal)
+            enough = (1 - GAIN) * state.objective
+            moved, given_up = tried(self.problem, replace(shape, factor=model.factor), model.whole(proposal), enough)
+            broken += given_up
             if moved is None:
                 continue
             shape = replace(shape, factorizations=moved.factorizations)
             objective = self.problem.objective(moved.positions, moved.amplitudes)
-            if objective < (1 - GAIN) * state.objective:
-                return State(moved, objective, note, self._settled(state, moved, objective), looked=looked)
+            if objective < enough:
+                stop = self._settled(state, moved, objective)
+                return State(moved, objective, note, stop, looked=looked, broken=broken)
         stop = Stop.STALLED if failure else Stop.CONVERGED
-        end = replace(state, shape=shape, stop=stop, failure=failure, looked=looked)
+        end = replace(state, shape=shape, stop=stop, failure=failure, looked=looked, broken=broken)
         return replace(end, note=f"{note} has nothing better")
 
     def _settled(self, before: State, shape: Shape, objective: float) -> Stop | None:
@@ -237,14 +243,10 @@ class Search:
         moves = np.unique(np.column_stack([np.sort(group[np.column_stack([one, other])]), group[halfway]]), axis=0)
         return moves[:, :2], moves[:, 2]
 
-    def _moved(self, shape: Shape, model: Model, proposal: Floats) -> Shape | None:
-        """The shape at rest under the proposed forces, started where K predicts it; None if it finds no rest."""
-        return loaded(self.problem, replace(shape, factor=model.factor), model.whole(proposal))
-
     def done(self, state: State) -> Stop | None:
         """Whether the model had nothing better, or nothing that held in truth."""
         return state.stop
 
     def record(self, state: State) -> dict[str, object]:
         """Figures of the state for the trace."""
-        return figures(self.problem, state.shape, state.note, state.looked)
+        return {**figures(self.problem, state.shape, state.note, state.looked), "broken": state.broken}

@@ -13,7 +13,7 @@ from relax.arrays import Floats
 from relax.convex.backends import Backend
 from relax.convex.subproblem import Subproblem
 from relax.design.problem import Problem
-from relax.design.refit import Shape, displaced, figures
+from relax.design.shape import Shape, displaced, figures
 from relax.errors import BackendError, UnheldError, UnsupportedError
 from relax.iterate import Stop
 from relax.sparsity.supports import sizes

@@ -6,7 +6,7 @@ import numpy as np
 
 from relax.arrays import Floats
 from relax.design.problem import Problem
-from relax.design.refit import Shape, rest
+from relax.design.shape import Shape, rest
 from relax.errors import EquilibriumError, InputError
 from relax.membrane.formers import form_find
 from relax.sparsity.penalties import is_convex, steepest
@@ -18,6 +18,7 @@ NOTHING = 1e-12  # of the largest tension: a force that is the round-off of bala
 REACHED = 1e-16  # of the scene's size squared: a rested shape this near is the target
 # of the mean stiffness: the springs that draw the membrane to a target, the next where it would not stand
 PULLS = (0.125, 0.016, 0.002)
+TILT = 0.05  # by which noise may tilt what these springs average it over; where it is more they are weaker
 HEAVY = (0.5, 0.005, 0.1)  # first weights, as shares of the largest useful one; none wins on every scene
 
 
@@ -115,6 +116,9 @@ def pulled(problem: Problem) -> Shape | None:
 
     One Newton step from the flat start, (K + t M) d = f + g - t M (x - xhat). Noise is averaged over some neighbours, while the
     forces p = -f - g keep sharp peaks where the target needs a support. None where the membrane would not stand so.
+
+    Springs that are a share t of the stiffness average over some 1 / t vertices: what is left of noise sigma, sigma sqrt(t),
+    tilts a line across these, of h / sqrt(t) at edges h, by t sigma / h. Where the target is rough, t is smaller.
     """
     membrane, start = problem.membrane, problem.scene.start
     forces = membrane.forces(start) + problem.loads
@@ -122,7 +126,9 @@ def pulled(problem: Problem) -> Shape | None:
     pull = np.einsum("vii->v", problem.scene.metric[membrane.free])
     pull *= float(membrane.stiffness(start).diagonal().mean()) / (pull.mean() or 1.0)
     offset = pull[:, None] * problem.offset(start)
-    for share in PULLS:
+    rough = problem.roughness * PULLS[0]
+    gentle = min(1.0, TILT / rough) if rough > 0 else 1.0
+    for share in gentle * np.array(PULLS):
         tied = membrane.tied_factor_at(start, share * pull[:, None, None] * np.eye(3))
         if not tied.positive_definite:
             continue

@@ -7,7 +7,7 @@ import numpy as np
 
 from relax.arrays import Floats, Ints
 from relax.design.problem import Problem
-from relax.design.refit import Shape
+from relax.design.shape import Shape
 from relax.factor import Factor
 from relax.membrane.membrane import Membrane
 from relax.membrane.mesh import Mesh
@@ -37,6 +37,11 @@ class SymmetricProblem(Problem):
         vertices = self.membrane.free[plain.vertices]
         share, invariant = self.symmetry.share[vertices], self._along(self.symmetry.invariant[vertices])
         return OrbitSupports(plain.vertices, plain.weights, plain.free, plain.reach, share=share, invariant=invariant)
+
+    @cached_property
+    def roughness(self) -> float:
+        """That of the whole: the representatives' neighbours are not all at hand."""
+        return self.original.roughness
 
     def _along(self, maps: Floats) -> Floats:
         """Maps of vectors (k, 3, 3) as maps of amplitudes (k, c, c)."""

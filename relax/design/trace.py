@@ -10,7 +10,7 @@ import numpy as np
 from relax.arrays import Floats, Mask
 from relax.design.optimality import judge
 from relax.design.problem import Problem
-from relax.design.refit import Shape, figures
+from relax.design.shape import Shape, figures
 from relax.errors import StopRun
 from relax.iterate import Record, Stop
 
@@ -58,6 +58,8 @@ class Tally:
         Steps that took no new factorisation, and all that had one from before.
     kept : int
         Newton steps that went by columns and curvature of an earlier shape.
+    broken : int
+        Trials that were broken off.
     patterns : int
         Sparsity patterns that were factorised.
     """
@@ -66,6 +68,7 @@ class Tally:
     reused: int = 0
     compared: int = 0
     kept: int = 0
+    broken: int = 0
     patterns: int = 1
 
 
@@ -102,11 +105,12 @@ class Journal:
             looked = self.lift(replace(shape, amplitudes=looked)).amplitudes
         self.tally.looked |= looked.any(axis=1)
         self.tally.kept += record.get("kept", False)
+        self.tally.broken += record.get("broken", 0)
 
     def __call__(self, record: Record) -> None:
         """Keep a record; one that shows the same shape as the last is not a step."""
         shape: Shape = record["shape"]
-        last, self._last = self._last, replace(shape, factor=None)
+        last, self._last = self._last, replace(shape, factor=None, dual=None)
         self._count(record)
         if last is not None and shape.positions is last.positions and shape.amplitudes is last.amplitudes:
             return
@@ -116,7 +120,7 @@ class Journal:
         if self.lift is not None:
             shape = self.lift(shape)
             record = figures(self.problem, shape, record["note"], ())
-        self.shapes.append(replace(shape, factor=None))
+        self.shapes.append(replace(shape, factor=None, dual=None))
         self.objective.append(record["objective"])
         self.seconds.append(self.elapsed())
         self.notes.append(f"{self.stage}: {record['note']}" if record["note"] else self.stage)

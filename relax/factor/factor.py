@@ -141,26 +141,31 @@ class Factor:
         right[rows, np.arange(len(rows))] = 1.0
         return self.solve(right)
 
-    def refine(self, matrix: csc_array, right: Floats) -> Floats | None:
-        """A^-1 @ right for a matrix A near this one, to the last digits, by iterative refinement; right is (m,).
+    def refine(self, matrix: csc_array, right: Floats, start: Floats | None = None) -> Floats | None:
+        """A^-1 @ right for a matrix A near this one, to the last digits, by iterative refinement; right and start are (m,).
 
         None where a step does not shrink the residual a thousandfold: A has moved too far, factorise it.
         """
         if self.singular:
             return None
-        answer = np.zeros_like(right)
-        residual, size = right, float(np.linalg.norm(right))
-        norm = float(abs(matrix).sum(axis=0).max())
+        answer = np.zeros_like(right) if start is None else start
+        residual = right if start is None else right - matrix @ start
+        size = float(np.linalg.norm(residual))
         for _ in range(REFINEMENTS):
             answer = answer + self.solve(residual)
             residual = right - matrix @ answer
             before, size = size, float(np.linalg.norm(residual))
             # backward stable: a factorisation of the matrix itself would leave no less
-            if size <= EPSILON * (norm * float(np.linalg.norm(answer)) + float(np.linalg.norm(right))):
+            if size <= EPSILON * (self._norm * float(np.linalg.norm(answer)) + float(np.linalg.norm(right))):
                 return answer
             if size > CONTRACTION * before:
                 return None
         return None
+
+    @cached_property
+    def _norm(self) -> float:
+        """The largest column sum of the matrix, about that of any matrix nearby."""
+        return float(abs(self.matrix).sum(axis=0).max())
 
     def __getstate__(self) -> dict[str, Any]:
         """Without the factorisation, which cannot be pickled and is made again where it is needed."""

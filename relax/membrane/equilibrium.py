@@ -1,18 +1,22 @@
 """Form-finding by Newton on the stiffness matrix: where the membrane comes to rest under given forces, or why it does not."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from operator import attrgetter
 
 import numpy as np
 
 from relax.arrays import Floats
 from relax.factor import Factor
 from relax.iterate import Stop, iterate
+from relax.membrane.chords import AIM, Chords
 from relax.membrane.membrane import Membrane
 from relax.membrane.rest import FOUND, Balance, Equilibrium
 
-RESIDUAL = 1e-13  # aim, relative: what double precision reaches on meshes of 1e5 vertices
+ASTRAY = 10.0  # growth of the residual at which chord steps lead nowhere
+ROUND_OFF = 1e-14  # of what the digits of the potential are counted from
+FAR = 0.1  # a residual after a Newton step that says that its stiffness is of no use here
 ENOUGH = 1e-11  # below this a residual that no longer falls is round-off
-CHORDS = 8  # steps with an old factor that are cheaper than a new one
 LARGEST_LIMIT = 200
 NO_LESS = 4 * float(np.finfo(float).eps)  # relative residual of a shape whose positions are right to round-off
 LAST = 3  # steps for the last digits: each solve gains several, until round-off is all that is left
@@ -24,8 +28,10 @@ class _State:
     unbalanced: Floats  # (n, 3)
     residual: float
     before: float  # the residual one step earlier
-    factor: Factor | None
+    chords: Chords | None  # steps with the factorisation at hand, if one is
     factorizations: int = 0
+    origin: "_State | None" = None  # where the chord steps began that led here
+    nearest: "_State | None" = None  # the one of them with the smallest residual
     fresh: bool = False  # the last step used the stiffness of its own start
     stuck: bool = False
 
@@ -35,24 +41,42 @@ class _Newton:
     """Newton on the total potential, energy - applied . x: line search, and K made definite where it is not."""
 
     balance: Balance
+    hopeless: Callable[[Floats], bool] | None = None
 
     def begin(self, positions: Floats, factor: Factor | None) -> _State:
         unbalanced, residual = self.balance.measure(positions)
-        return _State(positions, unbalanced, residual, np.inf, factor)
+        return _State(positions, unbalanced, residual, np.inf, None if factor is None else Chords(factor))
 
     def step(self, state: _State) -> _State:
-        if state.factor is not None and _pays(state.residual, state.before) and state.factor.positive_definite:
-            chord = self._moved(state, state.factor.solve(state.unbalanced), 1.0)
-            if _pays(chord.residual, state.residual):
-                return replace(chord, factor=state.factor, factorizations=state.factorizations)
-        factor = self.balance.membrane.factor_at(state.positions)
-        count = state.factorizations + (factor is not state.factor)
+        membrane, chords = self.balance.membrane, state.chords
+        far = state.fresh and state.residual > FAR
+        if chords is not None and not far and chords.pay(state.residual) and chords.factor.positive_definite:
+            after, shift = chords.step(state.positions[membrane.free], state.unbalanced, state.residual)
+            nearest = min(state, state.nearest or state, key=attrgetter("residual"))
+            moved = replace(self._moved(state, shift, 1.0), chords=after, factorizations=state.factorizations)
+            moved = replace(moved, origin=state.origin or state, nearest=nearest)
+            if moved.residual <= ASTRAY * after.residuals[0] and not self.balance.lost(moved.positions):
+                return moved
+            state = moved
+        begin = self._best_on_the_way(state)
+        factor = membrane.factor_at(begin.positions)
+        count = state.factorizations + (chords is None or factor is not chords.factor)
         direct = factor
         if not factor.positive_definite:
-            direct = self.balance.membrane.lifted_factor_at(state.positions)
+            direct = membrane.lifted_factor_at(begin.positions)
             count += 1
-        found = self._search(state, direct.solve(state.unbalanced))
-        return replace(found, factor=factor if factor.positive_definite else None, factorizations=count, fresh=True)
+        found = self._search(begin, direct.solve(begin.unbalanced))
+        chords = Chords(factor) if factor.positive_definite else None
+        return replace(found, chords=chords, factorizations=count, fresh=True)
+
+    def _best_on_the_way(self, state: _State) -> _State:
+        """Where Newton goes on after chord steps: nearest to rest, unless the potential rose there, which Newton would undo."""
+        if state.origin is None or state.nearest is None:
+            return state
+        nearest = min(state, state.nearest, key=attrgetter("residual"))
+        noise = ROUND_OFF * self.balance.magnitude(state.origin.positions)
+        fell = self.balance.potential(nearest.positions) <= self.balance.potential(state.origin.positions) + noise
+        return nearest if fell else state.origin
 
     def _search(self, state: _State, direction: Floats) -> _State:
         """Backtrack until the potential falls enough (Armijo), or the residual does where round-off hides the potential."""
@@ -75,13 +99,15 @@ class _Newton:
         return _State(positions, unbalanced, residual, state.residual, None)
 
     def done(self, state: _State) -> Stop | None:
-        if state.residual <= RESIDUAL:
+        if state.residual <= AIM:
             return Stop.CONVERGED
         settled = state.fresh and state.residual > 0.5 * state.before
         if state.residual <= ENOUGH and (settled or state.stuck):
             return Stop.CONVERGED
         if self.balance.lost(state.positions):
             return Stop.LOST_SUPPORT
+        if self.hopeless is not None and self.hopeless(state.positions):
+            return Stop.HOPELESS
         return self.reason(state) if state.stuck else None
 
     def reason(self, state: _State) -> Stop:
@@ -93,15 +119,13 @@ class _Newton:
         return {"residual": state.residual}
 
 
-def _pays(residual: float, before: float) -> bool:
-    """Whether steps that shrink the residual as much as this one did reach round-off before a new factor would be cheaper."""
-    if not np.isfinite(before) or residual <= RESIDUAL:
-        return True
-    return residual < before and np.log(residual / RESIDUAL) <= CHORDS * np.log(before / residual)
-
-
 def find_equilibrium(
-    membrane: Membrane, positions: Floats, applied: Floats, factor: Factor | None = None, limit: int = LARGEST_LIMIT
+    membrane: Membrane,
+    positions: Floats,
+    applied: Floats,
+    factor: Factor | None = None,
+    limit: int = LARGEST_LIMIT,
+    hopeless: Callable[[Floats], bool] | None = None,
 ) -> Equilibrium:
     """Bring the membrane to rest under `applied` forces.
 
@@ -116,22 +140,25 @@ def find_equilibrium(
         A factorisation of K near `positions`; chord steps use it while they pay.
     limit : int
         Largest number of steps.
+    hopeless : function of positions (V, 3), optional
+        Asked at each shape on the way whether to break off there.
 
     Returns
     -------
     Equilibrium
-        Never raises for a membrane that finds no rest: `stop` says why, `found` is False. An iteration is a Newton step,
-        with its line search.
+        Never raises for a membrane that finds no rest: `stop` says why, `found` is False. An iteration is a Newton step
+        with its line search, or a chord step.
     """
-    newton = _Newton(Balance(membrane, applied, positions))
+    newton = _Newton(Balance(membrane, applied, positions), hopeless)
     run = iterate(newton, newton.begin(positions, factor), limit)
     state, stop = run.state, run.stop
     if state.residual <= FOUND:
         stop = Stop.CONVERGED
-    elif stop is Stop.LIMIT and state.factor is None:
+    elif stop is Stop.LIMIT and state.chords is None:
         stop = newton.reason(state)
+    factor = None if state.chords is None else state.chords.factor
     shape = membrane.kept_centroids(state.positions, positions)
-    return Equilibrium(shape, state.residual, stop, run.steps, state.factorizations, state.factor, ("newton",))
+    return Equilibrium(shape, state.residual, stop, run.steps, state.factorizations, factor, ("newton",))
 
 
 def with_last_digits(membrane: Membrane, positions: Floats, applied: Floats, factor: Factor) -> Floats:

@@ -35,7 +35,7 @@ def form_find(membrane: Membrane, positions: Floats, applied: Floats, limit: int
     applied : (n, 3) newtons
         Loads and support forces on the free vertices.
     limit : int, optional
-        Largest number of Newton steps, each time; default 200.
+        Largest number of Newton and chord steps, each time; default 200.
 
     Returns
     -------

@@ -5,10 +5,11 @@ from typing import Any
 
 import numpy as np
 
-from relax.arrays import Floats, Mask
+from relax.arrays import Floats, Ints, Mask
 from relax.errors import InputError
 from relax.membrane.mesh import Mesh, against_each_other, vertex_normals
 
+NORMAL = 1.538  # median length of a vector of three standard normal numbers
 FARTHEST = 1e4  # scene sizes from the origin: beyond, the round-off of a position spoils the balance of forces
 
 
@@ -85,3 +86,15 @@ def _normals(mesh: Mesh, target: Floats, fixed: Mask) -> Floats:
             'normals cancel: mend the mesh there, or use metric = "pairs"'
         )
     return normal
+
+
+def noise_level(target: Floats, edges: Ints, counted: Ints) -> float:
+    """Standard deviation of normal noise in a target (V, 3) on a mesh with edges (E, 2), metres, as some of its vertices tell it.
+
+    By the median of how far they lie from the mean of their neighbours: few lie at a mast or a crease.
+    """
+    ends, others = np.concatenate([edges, edges[:, ::-1]]).T
+    degree = np.maximum(np.bincount(ends, minlength=len(target)), 1)
+    mean = np.column_stack([np.bincount(ends, each, len(target)) for each in target[others].T]) / degree[:, None]
+    away = np.linalg.norm(target - mean, axis=1) / np.sqrt(1 + 1 / degree)
+    return float(np.median(away[counted])) / NORMAL

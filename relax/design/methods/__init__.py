@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Protocol
 
 if TYPE_CHECKING:
     from relax.design.problem import Problem
-    from relax.design.refit import Shape
+    from relax.design.shape import Shape
     from relax.design.starts import Start
     from relax.design.trace import Journal
 

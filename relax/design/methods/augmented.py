@@ -14,7 +14,7 @@ from scipy.sparse import bsr_array, csc_array
 from relax.arrays import Floats, Ints
 from relax.design.methods.smooth import Smoothed, steepest_slope
 from relax.design.problem import Problem
-from relax.design.refit import Shape
+from relax.design.shape import Shape
 from relax.errors import EquilibriumError
 from relax.factor import Factor, Symbolic
 from relax.iterate import Stop

@@ -19,7 +19,8 @@ from relax.design.methods.relaxation import relaxation_of
 from relax.design.methods.smooth import refuse_floating
 from relax.design.methods.tree import SAME, explore
 from relax.design.problem import Problem
-from relax.design.refit import Shape, figures, refit
+from relax.design.refit import refit
+from relax.design.shape import Shape, figures
 from relax.design.starts import Start, resolve_weight
 from relax.design.trace import Journal
 from relax.errors import InputError

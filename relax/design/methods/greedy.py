@@ -16,9 +16,9 @@ from relax.design.landscape import Landscape
 from relax.design.methods.smooth import refuse_floating
 from relax.design.model import Model, model_on_supports
 from relax.design.problem import Problem
-from relax.design.refit import Shape, figures, loaded
 from relax.design.rounding import Rounded, round_supports, seated
 from relax.design.search import Search
+from relax.design.shape import Shape, figures, loaded
 from relax.design.starts import Start, unsupported
 from relax.design.trace import Journal
 from relax.errors import EquilibriumError

@@ -13,8 +13,8 @@ from scipy.sparse import bsr_array, csc_array, csr_array
 from relax.arrays import Floats, Mask
 from relax.design.methods.smooth import Smoothed, refuse_constraints, steepest_slope
 from relax.design.problem import Problem
-from relax.design.refit import Shape, figures, rest
 from relax.design.rounding import Rounded, round_supports, seated
+from relax.design.shape import Shape, figures, rest
 from relax.design.starts import Start
 from relax.design.trace import Journal
 from relax.errors import InputError

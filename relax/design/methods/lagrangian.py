@@ -13,7 +13,8 @@ from relax.arrays import Floats, Mask
 from relax.design.methods.augmented import Lagrangian, Point, Terms, scales_of
 from relax.design.methods.smooth import Smoothed, refuse_constraints
 from relax.design.problem import Problem
-from relax.design.refit import Shape, figures, refit, rest, stationary_dual
+from relax.design.refit import refit, stationary_dual
+from relax.design.shape import Shape, figures, rest
 from relax.design.starts import Start
 from relax.design.trace import Journal
 from relax.errors import EquilibriumError, InputError

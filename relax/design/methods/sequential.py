@@ -15,10 +15,10 @@ from relax.arrays import Floats, Mask
 from relax.convex.backends import Backend, quick, working_set
 from relax.convex.reweighted import GRADUAL
 from relax.design.problem import Problem
-from relax.design.refit import Shape
 from relax.design.rounding import Rounded, gently_seated, round_supports, seated
 from relax.design.search import Search
 from relax.design.sequential import SequentialConvex
+from relax.design.shape import Shape
 from relax.design.starts import Start
 from relax.design.trace import Journal
 from relax.errors import EquilibriumError, InputError
