@@ -23,10 +23,10 @@ lower than relax's by more than 1e-7.
 
 Finding: no peer ends lower on any of these scenes. On the planted ones all that finish end at the same supports and objective,
 to 1e-13; on `bumps`, `pavilion` and `terrain` relax ends 2 to 13 % below IPOPT, and where full cone programs end, with the
-search's moves after them, or 0.1 % lower (terrain). At 2,304 vertices with noise IPOPT from flat takes 8 and 13 times as long
-as relax with one and five masts; from the target 32 times with five, and with one it fails. Full cone programs take 8 to 10
-times as long in Clarabel and 15 to 18 times through cvxpy from the same denoised start, where two or three of them are enough;
-without that start, from the heavy ones, 61 to 69 and 78 to 80 times.
+search's moves after them, or 0.1 % lower (terrain). At 2,304 vertices with noise IPOPT from flat takes 9 and 16 times as long
+as relax with one and five masts; from the target 39 times with five, and with one it fails. Full cone programs take 8 to 10
+times as long in Clarabel and 17 to 19 times through cvxpy from the same denoised start, where two or three of them are enough;
+without that start, from the heavy ones, 59 to 60 and 80 to 84 times.
 """
 
 import math

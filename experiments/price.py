@@ -15,10 +15,10 @@ Forward and inverse take turns in one process with the same factorisation engine
 row runs in a process of its own, so that `peak, GB` is its own. `engine` is the one that is always there, up to 100 x 100
 vertices, and the fastest that is installed. Exit status 1 if a run does not converge or costs more than `at most`.
 
-Finding: every planted mast is found and no other. Without noise the inverse run costs 0.9 to 1.6 forward runs; with noise 2.4 to
-2.7 with SuperLU and 2.9 to 3.5 with rslab, whose forward run gains more than the inverse one; at 90,000 vertices, where the noise
-is larger than an edge, 5 (6 to 8 in an earlier run: the clock of a shared machine). Bumps cost 7 to 10, terrain 12 to 15. So `at
-most` does not hold for noise at 90,000 vertices and for bumps, and five masts without noise and terrain are on its edge.
+Finding: every planted mast is found and no other, and every row holds `at most` (one run; a few per cent are the clock's).
+Without noise the inverse run costs 0.9 to 1.5 forward runs; with noise 2.2 to 2.5 with SuperLU and 2.5 to 3.3 with rslab, whose
+forward run gains more than the inverse one, at 90,000 vertices too, where the noise is larger than an edge. Bumps cost 5.6 to
+7.7, terrain 10 to 14.
 """
 
 import statistics
