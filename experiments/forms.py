@@ -11,12 +11,13 @@ prestress, 20 m off, folded at random, 20 x 20 vertices. `iterations` are Newton
 solves, with those of all that `ran`: where Newton is lost, dynamic relaxation takes over. `apart` is the largest distance from
 where Newton came to rest, in metres: slack and pushing membranes rest in more than one shape.
 
-Finding: where every edge pulls, the three end at one shape, to 3e-10 of its size. Newton takes 9 to 12 steps; force density is as
-fast (0.7 to 2.6 times as long), 20 linear solves with 30 % of strain, 40 with 10 %, 90 with 2 %, whatever the mesh; dynamic
-relaxation takes 3 to 6 times as long, 400 to 2,300 explicit steps, and hardly more from 20 m off or folded. Where edges go slack
-the order turns: on 100 x 100 vertices with 2 % of strain and five masts Newton needs 98 steps and 5 times as long as either.
-Newton alone is lost on slack membranes without load (3 of 4 cases), where dynamic relaxation takes over; force density is too
-slow there once. Slack springs that push rest in several shapes, so there the methods end apart.
+Finding: where every edge pulls, the three end at one shape, to 3e-10 of its size. Newton takes 11 to 16 steps, two to four of
+them with a factorisation, the others chord steps; force density is as fast (0.7 to 2.3 times as long), 20 linear solves with
+30 % of strain, 40 with 10 %, 90 with 2 %, whatever the mesh; dynamic relaxation takes 3 to 5 times as long, 400 to 2,300
+explicit steps, and hardly more from 20 m off or folded. Where edges go slack the order turns: on 100 x 100 vertices with 2 %
+of strain and five masts Newton needs 98 steps and 6 times as long as either. Newton alone is lost on slack membranes without
+load (3 of 4 cases), where dynamic relaxation takes over; force density is too slow there once. Slack springs that push rest in
+several shapes, so there the methods end apart.
 """
 
 import statistics

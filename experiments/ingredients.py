@@ -17,22 +17,23 @@ line within their loop (their damping is), and the units of the search, whose th
 shows that.
 
 Finding (two cores, rslab; ratios of times to some tens of per cent). On planted scenes, with or without noise, nothing changes
-the answer, only its price. Reweighting is what finds few supports elsewhere: one group norm, rounded, ends 2 to 17 % higher and
-takes 7 to 12 times as long. That its smoothing is continued gains 0.4 % on terrain, nothing elsewhere. The working set of a
-model is not only faster (with all candidates 21 to 56 times as long): on bumps all candidates lead to an objective 5 % higher.
-The search beats cone steps followed by its moves in time (1.4 to 4 times as long, 0.07 % higher on terrain); cone steps without
-the moves end 2 to 6 % higher. Taking every step of the search ends 2.6 % higher on bumps, 0.1 % on terrain, and goes round in
-circles to the limit of steps (five to eight times as long). Without rounding pavilion ends 1 % higher; on the others the
-support is already there and Newton's digits are missing. Second order is about digits, not values: Gauss-Newton takes up to
-twice the steps, the touching parabolas up to three times, both end where the default does or 0.05 % below (terrain). Newton's
-steps must be shortened only where noise is fitted: there it stops unfinished without. Shapes found each from flat take two to
-thirteen times the factorisations. A warm working set saves nothing that can be measured, and the damping of cone steps was
-never called for: safeguards. Scaling of cone programs changes nothing either at 625 vertices, since Clarabel equilibrates by
-itself. The debiased refit moves the worst true force from 4.9 % to 3.1 % off with noise, from 0.1 % to none without, for 0.3
-and 0.02 % of objective. Starts: the target is as good as the denoised target but for terrain (0.7 % higher); flat ends 3 %
-higher on pavilion, 0.5 % on terrain, and takes 90 times as long where the target is planted; heavy weights first take 4 to 8
-times as long (35 where planted) and end 0.1 % lower on terrain. On a path of six weights, afresh alone ends up to 0.6 % higher
-at a weight (bumps), from the design before alone up to 6 % (pavilion); each saves a seventh to six tenths of the time.
+the answer, only its price. Reweighting is what finds few supports elsewhere: one group norm, rounded, ends 2 to 17 % higher
+and takes 10 to 14 times as long. That its smoothing is continued gains 0.4 % on terrain, nothing elsewhere. The working set of
+a model is not only faster (with all candidates 20 to 85 times as long): on bumps all candidates lead to an objective 5 %
+higher. The search beats cone steps followed by its moves in time (1.2 to 5.5 times as long, 0.07 % higher on terrain); cone
+steps without the moves end 2 to 6 % higher. Taking every step of the search ends 2.6 % higher on bumps, 0.1 % on terrain, and
+goes round in circles to the limit of steps (seven to nine times as long). Without rounding pavilion ends 1 % higher; on the
+others the support is already there and Newton's digits are missing. Second order is about digits, not values: Gauss-Newton
+takes up to twice the steps, the touching parabolas up to three times, both end where the default does or 0.05 % below
+(terrain). Newton's steps must be shortened only where noise is fitted: there it stops unfinished without. Shapes found each
+from flat take four to thirteen times the factorisations. A warm working set saves nothing that can be measured, and the
+damping of cone steps was never called for: safeguards. Scaling of cone programs changes nothing either at 625 vertices, since
+Clarabel equilibrates by itself. The debiased refit moves the worst true force from 4.9 % to 3.1 % off with noise, from 0.1 %
+to none without, for 0.3 and 0.02 % of objective. Starts: the target is as good as the denoised target but for terrain (0.7 %
+higher); flat ends 3 % higher on pavilion, 0.5 % on terrain, and takes 78 times as long where the target is planted; heavy
+weights first take 4 to 11 times as long (34 where planted) and end 0.1 % lower on terrain. On a path of six weights, afresh
+alone ends up to 0.6 % higher at a weight (bumps), from the design before alone up to 6 % (pavilion); each saves a fifth to six
+tenths of the time.
 """
 
 import statistics

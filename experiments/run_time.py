@@ -23,14 +23,14 @@ steepest candidate without one is above its price, whichever is larger; and perf
 of the problems that a method takes which it brings to 1e-2, 1e-4, 1e-6 above the best within a factor of the fastest. Exit status
 1 if the default does not converge, or ends more than 1 % above the best.
 
-Finding (one run of each on two cores, rslab; the machine did little else). The default brings 11 of 12 problems to 1e-6 above the
-best, on 10 within twice the time of the fastest, and all to 1 %. Cone steps with the moves bring 10, in 1.4 times the fastest's
-time by the working set (median), 5 by Clarabel, 6 through cvxpy, 13 by OSQP (vertical supports, one problem); greedy 11, in 9
-times. Reweighted l1 alone, IRLS and the augmented Lagrangian bring the 8 planted ones, in 1.5, 19 and 30 times, IPOPT 5 of the 9
-that it takes, in 12 times. No method is best everywhere: greedy ends 0.1 % below the default on bumps at 36 x 36. On nets skglm
-takes half of our time at 169 vertices, and 1.5 times as long at 625, where it makes a matrix of 1,587 x 1,587.
-Stationarity alone misleads: greedy is stationary after each support that it adds, the candidates that it has not added yet say
-no.
+Finding (one run of each on two cores, rslab; the machine did little else). The default brings 11 of 12 problems to 1e-6 above
+the best, each within 1.6 times the time of the fastest, and all to 1 %. Cone steps with the moves bring 10, in 1.6 times the
+fastest's time by the working set (median), 5 by Clarabel, 6 through cvxpy, 17 by OSQP (vertical supports, one problem); greedy
+11, in 8 times. Reweighted l1 alone, IRLS and the augmented Lagrangian bring the 8 planted ones, in 1.2, 16 and 24 times, IPOPT
+5 of the 9 that it takes, in 12 times. No method is best everywhere: greedy ends 0.1 % below the default on bumps at 36 x 36.
+On nets skglm takes four fifths of our time at 169 vertices, and 2.6 times as long at 625, where it makes a matrix of 1,587 x
+1,587. Stationarity alone misleads: greedy is stationary after each support that it adds, the candidates that it has not added
+yet say no.
 """
 
 import argparse

@@ -8,9 +8,9 @@ Question: which supports does `relax solve` find on the scenes of data/, how wel
 `inverse / forward`: median time of a solve over the median time of form-finding from flat under the supports that it found, in
 turns in one process, reading and writing left out. Exit status 1 if a run does not converge.
 
-Finding: every scene converges, to a stationarity below 2e-12. Where the target is itself a tensile surface (tent, five-masts,
-scalloped) the whole inverse run costs 1.4 to 2.3 forward runs of these small meshes, with noise 4; where supports alone hold it
-(sail) 8, for cone steps go first there; where no few supports reach it 7 to 19.
+Finding: every scene converges, to a stationarity below 3e-12. Where the target is itself a tensile surface (tent, five-masts,
+scalloped) the whole inverse run costs 1.1 to 1.8 forward runs of these small meshes, with noise 3.5; where supports alone hold
+it (sail) 9, for cone steps go first there; where no few supports reach it 8 to 14.
 """
 
 import statistics
