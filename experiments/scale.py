@@ -12,8 +12,8 @@ in a process of its own. `exponent` is the slope of log time over log vertices f
 
 Finding: from 2,500 to 250,000 vertices the time of an inverse run grows with the power 1.1 of the vertices with rslab and 1.25
 with SuperLU (1.2 and 1.4 over the last step). 500 x 500 vertices, 750,000 unknowns, take 17 s and 3.3 GB with rslab, 35 s and
-4.6 GB with SuperLU, 1.2 and 0.8 forward runs; 1000 x 1000 vertices, three million unknowns, took 89 s and 13.4 GB with rslab,
-as long as the forward run.
+4.6 GB with SuperLU, 1.2 and 0.8 forward runs; 1000 x 1000 vertices, three million unknowns, took 84 s and 13.7 GB with rslab,
+0.9 forward runs.
 """
 
 import sys
